@@ -1,1 +1,1 @@
-"""Public functions for notebooks and the command line, offered by ``import geomid_ros``."""
+"""Public functions for notebooks and the command line; ``import geomid_ros`` exposes them."""

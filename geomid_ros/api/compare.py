@@ -1,4 +1,4 @@
-"""From two results of one robot to what differs between them."""
+"""Comparison of two results of one robot."""
 
 from __future__ import annotations
 
@@ -37,23 +37,23 @@ class Comparison(ComparisonPage):
     Attributes:
         first, second: the files.
         compared: all numbers, and the links that have changed.
-        errors: what both leave unexplained, by channel.
-        judged_on: what these errors are of.
-        doubts: why a result or the recording is not to be believed, in sentences.
-        notes: what is worth knowing, in sentences.
-        status: the exit status: that of the worse verdict of the two.
+        errors: residual RMS of both results, by channel.
+        judged_on: the data that these errors are computed on.
+        doubts: reasons not to trust a result or the recording, in sentences.
+        notes: remarks, in sentences.
+        status: exit status of the worse verdict of the two.
     """
 
     status: int
 
     @property
     def differing(self) -> list[Difference]:
-        """The numbers that differ by more than their joint 95 % intervals, the surest first."""
+        """Numbers that differ by more than their joint 95 % intervals, the most significant first."""
         return self.compared.differing
 
     @property
     def document(self) -> dict[str, Any]:
-        """All of it for programs."""
+        """The whole comparison as a dictionary, for programs."""
         numbers = ("place", "effect", "parameter", "first", "second", "differs")
         return entry(self, "first", "second", "judged_on", "doubts", "notes") | {
             "differences": [
@@ -65,7 +65,7 @@ class Comparison(ComparisonPage):
         }
 
     def report(self, path: PathLike) -> Path:
-        """Write everything on one HTML page that needs no network.
+        """Write the comparison as one HTML page. The page needs no network.
 
         Args:
             path: the file.
@@ -80,18 +80,18 @@ class Comparison(ComparisonPage):
         return Path(path)
 
     def __repr__(self) -> str:
-        """What differs, a line each."""
-        found = [*(link.sentence for link in self.compared.changed), *(each.sentence for each in self.differing)]
-        heading = f"{self.first} and {self.second}: {len(found) or 'nothing'} beyond chance"
-        return "\n".join([*self.doubts, heading, *(f"  {sentence}" for sentence in found)])
+        """List the differences, one line each."""
+        sentences = [*(link.sentence for link in self.compared.changed), *(each.sentence for each in self.differing)]
+        heading = f"{self.first} and {self.second}: {len(sentences) or 'nothing'} beyond chance"
+        return "\n".join([*self.doubts, heading, *(f"  {sentence}" for sentence in sentences)])
 
 
 @takes(CompareOptions)
 def compare(options: CompareOptions) -> Comparison:
     """Compare two results of one robot, or a result and a URDF.
 
-    ``geomid compare`` calls this; its options have the same names. Without ``urdf``, the identified.urdf beside each
-    result is taken.
+    ``geomid compare`` calls this; its options have the same names. Without ``urdf``, the identified.urdf in the folder
+    of each result is used.
 
     Raises:
         InputError: a file cannot be used, or they are of different robots.
@@ -108,10 +108,10 @@ def compare(options: CompareOptions) -> Comparison:
     status = max(result.judgement.status for result in results)
     errors, data = _joined([_own_errors(side) for side in sides]), _OWN
     if options.bag:
-        predicted, doubted = zip(*(_judged_on(side, options) for side in sides), strict=True)
-        errors, data = _joined(predicted), ", ".join(map(str, paths(options.bag)))
-        doubts += [sentence for each in doubted for sentence in each]
-        status = max(status, STATUS[DOUBTFUL if any(doubted) else USABLE])
+        residuals, reasons = zip(*(_errors_on_bags(side, options) for side in sides), strict=True)
+        errors, data = _joined(residuals), ", ".join(map(str, paths(options.bag)))
+        doubts += [sentence for each in reasons for sentence in each]
+        status = max(status, STATUS[DOUBTFUL if any(reasons) else USABLE])
     return Comparison(
         first=str(first),
         second=str(second),
@@ -125,22 +125,22 @@ def compare(options: CompareOptions) -> Comparison:
 
 
 _Side: TypeAlias = EstimateFile | Model
-"""What is compared: a result, or a URDF."""
+"""One side of a comparison: a result, or a URDF."""
 
 
 def _robot(side: _Side) -> str:
-    """The robot's name; empty where neither a result nor the description beside it says it."""
+    """Return the name of the robot; empty if neither the result nor its identified.urdf gives one."""
     if not isinstance(side, EstimateFile):
         return ""
-    own = beside(side.source)
-    return side.robot or (read_xml(read_urdf(own), str(own)).get("name", "") if own.is_file() else "")
+    urdf = beside(side.source)
+    return side.robot or (read_xml(read_urdf(urdf), str(urdf)).get("name", "") if urdf.is_file() else "")
 
 
 def _urdf_values(model: Model, result: EstimateFile) -> RobotValues:
-    """What a URDF says of the bodies of a result, exactly.
+    """Return the values of a URDF for the bodies of a result, with zero standard deviations.
 
     Raises:
-        InputError: it has not all of these links, or no inertial of one, or no body can be as it says.
+        InputError: the URDF lacks a link, a link lacks an inertial, or a body is physically impossible.
     """
     links = {}
     for name, body in result.values.links.items():
@@ -150,33 +150,33 @@ def _urdf_values(model: Model, result: EstimateFile) -> RobotValues:
         if not parts:
             raise InputError(f"{model.source}: link '{name}' has no <inertial>, and {result.source} has identified it")
         terms = [Summand(model.bodies[link], model.placement(link, name)) for link in parts]
-        own = total(terms, f"{model.source}: link '{name}'")
-        links[name] = replace(own, std=np.zeros(10), merged=body.merged)
+        inertia = total(terms, f"{model.source}: link '{name}'")
+        links[name] = replace(inertia, std=np.zeros(10), merged=body.merged)
     return RobotValues(links=links, effects=model.effects)
 
 
 def _check_same_robot(sides: Sequence[_Side], values: Sequence[RobotValues]) -> None:
-    """Refuse results of different robots: no link in common, or other names and other bodies. Raises InputError."""
+    """Refuse results of different robots: no common link, or both names and bodies differ. Raises InputError."""
     first, second = values
     names = [_robot(side) for side in sides]
     bodies = [{name: {*link.merged} for name, link in each.links.items()} for each in values]
-    others = all(names) and names[0] != names[1] and bodies[0] != bodies[1]
-    if others or not first.links.keys() & second.links.keys():
-        ours, theirs = (
+    different = all(names) and names[0] != names[1] and bodies[0] != bodies[1]
+    if different or not first.links.keys() & second.links.keys():
+        first_source, second_source = (
             f"{side.source} ('{name}')" if name else side.source for side, name in zip(sides, names, strict=True)
         )
-        raise _other_robot(theirs, second.links, ours, first.links)
+        raise _other_robot(second_source, second.links, first_source, first.links)
 
 
-def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable[str]) -> InputError:
+def _other_robot(source: str, links: Iterable[str], other: str, other_links: Iterable[str]) -> InputError:
     return InputError(
         f"{source}: a model of another robot than {other}. Links of the first: {', '.join(links)}; of the second: "
-        f"{', '.join(others)}"
+        f"{', '.join(other_links)}"
     )
 
 
 def _notes_on(results: Sequence[EstimateFile], *, own_data: bool) -> list[str]:
-    """What is worth knowing of the comparison; ``own_data``: of the errors, too, each on its own recording."""
+    """Return remarks on the comparison; with ``own_data`` also on errors, each on the data of its result."""
     exact = [r.source for r in results if not any(link.has_std for link in r.values.links.values())]
     fitted = [r.source for r in results if own_data and r.rms.train and not r.rms.held_out]
     return [
@@ -186,8 +186,8 @@ def _notes_on(results: Sequence[EstimateFile], *, own_data: bool) -> list[str]:
 
 
 def _own_errors(side: _Side) -> dict[str, tuple[float, str]]:
-    """What a result leaves of its held-out data, or of the fitted ones if none were held out, by channel, with its
-    unit."""
+    """Return the residual RMS of a result on its held-out data, or its fitted data if none were held out, by channel,
+    with its unit."""
     if not isinstance(side, EstimateFile):
         return {}
     units = {row.channel: row.unit for row in side.channels}
@@ -196,29 +196,29 @@ def _own_errors(side: _Side) -> dict[str, tuple[float, str]]:
 
 
 def _joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErrors]:
-    """The errors of both, by channel."""
+    """Join the errors of both sides by channel."""
     first, second = sides
-    nothing = (math.nan, "")
+    missing = (math.nan, "")
     return [
         ChannelErrors(
             name=name,
             unit=(first.get(name) or second[name])[1],
-            first=first.get(name, nothing)[0],
-            second=second.get(name, nothing)[0],
+            first=first.get(name, missing)[0],
+            second=second.get(name, missing)[0],
         )
         for name in dict.fromkeys((*first, *second))
     ]
 
 
-def _judged_on(side: _Side, options: CompareOptions) -> tuple[dict[str, tuple[float, str]], list[str]]:
-    """RMS of what a side leaves of recordings by channel, with its unit, and why that is not to be believed."""
+def _errors_on_bags(side: _Side, options: CompareOptions) -> tuple[dict[str, tuple[float, str]], list[str]]:
+    """Return the residual RMS of a side on the recordings by channel, with its unit, and reasons not to trust it."""
     if isinstance(side, EstimateFile):
         session, samples = read_to_judge(options, options.bag, model=side.source)
         parameters = session.known_parameters
     else:
         names = list(dict.fromkeys(effect.effect for effect in side.effects))
         session, samples = read_to_judge(replace(options, urdf=side.source), options.bag, effects=names)
-        own = coefficients_of(session.model, side.effects)  # the friction that it says
-        parameters = np.concatenate([session.model.nominal_parameters[: -len(own) or None], own])
+        coefficients = coefficients_of(session.model, side.effects)  # the friction in the URDF
+        parameters = np.concatenate([session.model.nominal_parameters[: -len(coefficients) or None], coefficients])
     errors = zip(session.model.channels, session.rms(samples, parameters).tolist(), strict=True)
     return {channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session)

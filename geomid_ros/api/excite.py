@@ -1,4 +1,4 @@
-"""From a robot description to a motion that identifies much of it."""
+"""Design of an exciting trajectory from a robot description."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from geomid_ros.session.options import MotionOptions, PathLike
 
 @dataclass(frozen=True, eq=False)
 class MotionDesign:
-    """A designed motion: ``excitation`` has its margins, and what it is expected to identify."""
+    """A designed motion: ``excitation`` has its margins, and the quantities that it is expected to identify."""
 
     excitation: Excitation
 
     @property
     def trajectory(self) -> Trajectory:
-        """The motion as points."""
+        """Motion as points."""
         return self.excitation.trajectory
 
     @property
     def sentences(self) -> list[str]:
-        """What the motion is expected to identify, in sentences."""
+        """Quantities that the motion is expected to identify, in sentences."""
         return list(self.excitation.learning.sentences)
 
     def save(self, folder: PathLike) -> list[Path]:
         """Write trajectory.yaml, trajectory.csv, trajectory_bag, excitation.json, excitation.png and motion.html.
 
         Args:
-            folder: made if it does not exist.
+            folder: created if it does not exist.
 
         Returns:
             The files.
@@ -55,19 +55,19 @@ def excite(options: MotionOptions) -> MotionDesign:
     ``model``.
 
     Raises:
-        InputError: a file or an argument cannot be used, or the robot cannot begin.
+        InputError: a file or an argument cannot be used, or the robot cannot start.
     """
     return designed_motion(*robot_to_excite(options), options)
 
 
 def robot_to_excite(options: MotionOptions) -> tuple[DescribedRobot, Configuration]:
-    """The robot to design motions for, and what is known of it. Raises InputError where none is given."""
+    """Return the robot to design motions for, and its configuration. Raises InputError if no robot is given."""
     if options.urdf is None and options.model is None:
         raise InputError("no robot is given: add --urdf ROBOT.urdf (or --from estimate.json, with identified.urdf)")
     return description(options, [], options.model), configuration(options, options.model)
 
 
 def designed_motion(robot: DescribedRobot, known: Configuration, options: MotionOptions) -> MotionDesign:
-    """Design a motion as it is asked for, from what is ``known`` of a robot."""
+    """Design a motion by the options for a ``robot`` and its configuration ``known``."""
     task = excitation.task_of(robot.text, Path(robot.source), known, options)
     return MotionDesign(excitation.design(task, options))

@@ -1,4 +1,4 @@
-"""From a model on disk to the terms of the software that uses it; and from its posterior to robots drawn from it."""
+"""Export of a model on disk to the formats of other software, and of robots sampled from its posterior."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MUJOCO = "mujoco"
 
 
 class Exported(NamedTuple):
-    """The ``text`` for the other software, ``notes`` on what it lacks and ``doubts`` about the models, in sentences."""
+    """The ``text`` for the other software, ``notes`` on what it omits and ``doubts`` about the models, in sentences."""
 
     text: str
     notes: tuple[str, ...]
@@ -43,13 +43,13 @@ class Exported(NamedTuple):
 
 @takes(ExportOptions)
 def export(options: ExportOptions) -> Exported:
-    """An estimate in the terms of other software: a robot description, or the payload at a flange.
+    """Convert an estimate for other software: a robot description, or the payload at a flange.
 
     ``geomid export`` calls this; its options have the same names, but ``--for`` for ``tool``. Without ``frame``, the
     whole robot is exported.
 
     Raises:
-        InputError: the files or arguments cannot be used, the data do not tell what is asked for, or a model is
+        InputError: the files or arguments cannot be used, the data do not identify what is requested, or a model is
             doubtful and ``force`` is not given.
     """
     _check(options)
@@ -65,25 +65,25 @@ def export(options: ExportOptions) -> Exported:
         return Exported(CONTROLLERS[tool].commands(_payload(own, flange, options.links, reference)), (), doubts)
     if options.frame:
         return Exported(DESCRIPTIONS[tool].payload(_payload(own, options.frame, options.links, reference)), (), doubts)
-    whole = _whole(own, options)
-    return Exported(whole.text, tuple(whole.lacks), doubts)
+    result = _whole(own, options)
+    return Exported(result.text, tuple(result.lacks), doubts)
 
 
 def check_into(tool: str, into: PathLike | None) -> None:
-    """Refuse an MJCF for another simulator. Raises InputError."""
+    """Refuse an MJCF if the software is not MuJoCo. Raises InputError."""
     if into is not None and tool != _MUJOCO:
         raise InputError(f"into is a file of MuJoCo's: it goes with {_MUJOCO} (--for {_MUJOCO}), not with {tool}")
 
 
 def _check(options: ExportOptions) -> None:
-    """Refuse what makes no sense. Raises InputError."""
-    tool, part = options.tool, options.links is not None or options.without is not None
+    """Refuse inconsistent options. Raises InputError."""
+    tool, is_payload = options.tool, options.links is not None or options.without is not None
     if tool not in (*CONTROLLERS, *DESCRIPTIONS):
         raise unknown_name("reader", tool, (*CONTROLLERS, *DESCRIPTIONS))
     check_into(tool, options.into)
     if options.links is not None and options.without is not None:
         raise InputError("links and without exclude each other: a payload is either these links or a difference")
-    if tool not in CONTROLLERS and not options.frame and part:
+    if tool not in CONTROLLERS and not options.frame and is_payload:
         raise InputError("frame is missing: in the axes of which link is the payload wanted?")
 
 
@@ -100,21 +100,21 @@ def _payload(model: Model, frame: str, links: Texts | None, reference: Model | N
 
 
 def _flange(model: Model, ending: str) -> str:
-    """The link that the flange is called in the manufacturer's URDF, with any prefix."""
-    found = [link for link in model.tree.links if link.endswith(ending)]
-    if len(found) != 1:
-        listed = ", ".join(found or model.tree.links)
-        raise InputError(f"{model.source}: which link is the flange? Name it with --frame: {listed}")
-    return found[0]
+    """Return the one link whose name ends like the flange of the manufacturer's URDF, with any prefix."""
+    matches = [link for link in model.tree.links if link.endswith(ending)]
+    if len(matches) != 1:
+        candidates = ", ".join(matches or model.tree.links)
+        raise InputError(f"{model.source}: which link is the flange? Name it with --frame: {candidates}")
+    return matches[0]
 
 
 @dataclass(frozen=True, eq=False)
 class SampledRobots:
-    """Robots that were drawn from a posterior.
+    """Robots sampled from a posterior.
 
     Attributes:
-        drawn: their parameters, and the estimate that they are from.
-        options: who is to read them, and as what.
+        drawn: their parameters, and the estimate that they are sampled from.
+        options: which software will read them, and in which form.
     """
 
     drawn: DrawnRobots
@@ -133,15 +133,15 @@ class SampledRobots:
 
     @cached_property
     def torques(self) -> TorqueSpread:
-        """How much the robots' joint torques differ, beside those of ranges of 20 %."""
+        """Variation of joint torques among the robots, compared with that of uniform ranges of 20 %."""
         return torque_spread(self.drawn)
 
     def save(self, folder: PathLike, *, progress: Progress = silent) -> list[Path]:
         """Write the robots, ranges.yaml and torques.png.
 
         Args:
-            folder: made if it does not exist.
-            progress: called with what is being done and the share of it, 0 to 1, that is done.
+            folder: created if it does not exist.
+            progress: called with the current stage and its completed fraction, 0 to 1.
 
         Returns:
             The files.
@@ -165,7 +165,7 @@ class SampledRobots:
 
 @takes(SampleOptions)
 def sample(options: SampleOptions) -> SampledRobots:
-    """Sample robots from a posterior: links and effects together, as the recording and the prior leave them.
+    """Sample robots from a posterior: links and effects jointly, given the recording and the prior.
 
     ``geomid sample`` calls this; its options have the same names, but ``--for`` for ``tool`` and ``-n`` for ``count``.
 

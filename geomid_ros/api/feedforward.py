@@ -26,13 +26,13 @@ LONGEST = 600.0
 
 @dataclass(frozen=True, eq=False)
 class Feedforward:
-    """Result: the ``trajectory`` with efforts in the unit of the robot's messages, made of ``given`` points.
+    """The ``trajectory`` with efforts in the unit of the robot's messages, computed from ``given`` points.
 
     Attributes:
         session: the robot and its model.
-        limits: effort limits of the URDF ``(joints,)`` in that unit, infinite where it has none.
+        limits: effort limits of the URDF ``(joints,)`` in that unit; infinite where it has none.
         errors: largest error of linearly interpolated efforts ``(joints,)``, in that unit.
-        notes: what to know of the efforts, in sentences.
+        notes: remarks on the efforts, in sentences.
     """
 
     trajectory: Trajectory
@@ -44,7 +44,7 @@ class Feedforward:
 
     @property
     def largest(self) -> FloatArray:
-        """The largest effort of each joint ``(joints,)``."""
+        """Largest absolute effort of each joint ``(joints,)``."""
         return np.asarray(np.max(np.abs(self.trajectory.efforts), axis=0))
 
     def save(self, path: PathLike) -> Path:
@@ -62,14 +62,14 @@ class Feedforward:
 
 @takes(FeedforwardOptions)
 def feedforward(options: FeedforwardOptions) -> Feedforward:
-    """Fill the efforts of a trajectory, for a controller that adds them to its feedback.
+    """Fill in the efforts of a trajectory, for a controller that adds them to its feedback.
 
-    ``geomid feedforward`` calls this; its options have the same names. Positions stay what they are; points are added
-    where straight lines between the efforts would be off by more than ``tolerance``.
+    ``geomid feedforward`` calls this; its options have the same names. Positions do not change. Points are added where
+    linear interpolation of the efforts would be off by more than ``tolerance``.
 
     Raises:
         InputError: a file or an argument cannot be used; the trajectory is of another robot; a joint would need more
-            effort than it has; the model is doubtful.
+            effort than its limit; the model is doubtful.
     """
     given, source = options.trajectory, "the trajectory"
     if not isinstance(given, Trajectory):
@@ -79,15 +79,15 @@ def feedforward(options: FeedforwardOptions) -> Feedforward:
 
 
 def filled(session: Session, given: Trajectory, tolerance: float, source: str) -> Feedforward:
-    """The same for a session of :func:`robot_to_move` and a trajectory from a ``source``. Raises InputError."""
+    """Fill in efforts for a session of :func:`robot_to_move`; ``source`` names the trajectory. Raises InputError."""
     if given.duration > LONGEST:
         raise InputError(f"{source}: takes {given.duration:.4g} s, expected at most {LONGEST:g} s")
     efforts = MotorEfforts(session.model, session.known_parameters, session.effort_gains, given.joints, source)
-    found = with_efforts(given, efforts, tolerance)
-    _check_limits(found, efforts.limits, source)
-    errors = np.max(interpolation_errors(found, efforts), axis=0)
+    result = with_efforts(given, efforts, tolerance)
+    _check_limits(result, efforts.limits, source)
+    errors = np.max(interpolation_errors(result, efforts), axis=0)
     notes = tuple(filter(None, [session.loaded.doubt, session.loaded.not_predicted]))
-    return Feedforward(found, len(given.times), session, efforts.limits, errors, notes)
+    return Feedforward(result, len(given.times), session, efforts.limits, errors, notes)
 
 
 def _read(path: Path, topic: str | None) -> Trajectory:
@@ -99,7 +99,7 @@ def _read(path: Path, topic: str | None) -> Trajectory:
 
 
 def robot_to_move(options: FillOptions, model: PathLike | None) -> Session:
-    """The robot with its model. Raises InputError where none is given, and for a doubtful one unless it is forced."""
+    """Return the robot with its model. Raises InputError if there is none, or it is doubtful and not forced."""
     if model is None and options.urdf is None:
         raise InputError("no robot is given: add --model estimate.json, or --urdf ROBOT.urdf for the URDF alone")
     if model is not None:
@@ -112,7 +112,7 @@ def robot_to_move(options: FillOptions, model: PathLike | None) -> Session:
 
 
 def _check_model(options: DescriptionOptions, file: EstimateFile) -> None:
-    """Raises InputError for a model of a robot that stands on the ground, or without its description."""
+    """Refuse a model with a floating base, or without its robot description. Raises InputError."""
     if any(channel.channel.startswith("base/") for channel in file.channels):
         raise InputError(
             f"{file.source}: its base floats: efforts of legs depend on the forces of the ground, which no trajectory "
@@ -122,12 +122,12 @@ def _check_model(options: DescriptionOptions, file: EstimateFile) -> None:
         raise InputError(f"{file.source}: there is no identified.urdf beside it; add --urdf ROBOT.urdf")
 
 
-def _check_limits(found: Trajectory, limits: FloatArray, source: str) -> None:
-    over = np.abs(found.efforts) / limits
-    point, joint = np.unravel_index(int(np.argmax(over)), over.shape)
-    if over[point, joint] > 1.0:
+def _check_limits(trajectory: Trajectory, limits: FloatArray, source: str) -> None:
+    ratio = np.abs(trajectory.efforts) / limits
+    point, joint = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+    if ratio[point, joint] > 1.0:
         raise InputError(
-            f"{source}: joint '{found.joints[joint]}' would need {abs(found.efforts[point, joint]):.4g} at "
-            f"{found.times[point]:.3f} s, {100.0 * (over[point, joint] - 1.0):.0f} % more than its limit of "
+            f"{source}: joint '{trajectory.joints[joint]}' would need {abs(trajectory.efforts[point, joint]):.4g} at "
+            f"{trajectory.times[point]:.3f} s, {100.0 * (ratio[point, joint] - 1.0):.0f} % more than its limit of "
             f"{limits[joint]:.4g}; make the motion slower"
         )

@@ -40,13 +40,13 @@ class FleetIdentification(FleetPage):
 
     @property
     def status(self) -> int:
-        """The exit status: that of a doubtful result if no robot has one that can be used."""
+        """Exit status: success if any robot has a usable result, else that of a doubtful one."""
         return STATUS[USABLE if any(line.verdict == USABLE for line in self.lines) else DOUBTFUL]
 
 
 @takes(FleetOptions)
 def identify_fleet(options: FleetOptions) -> FleetIdentification:
-    """Identify many robots of a type from many bags.
+    """Identify many robots of one type from many bags.
 
     ``geomid fleet`` calls this; its options have the same names.
 
@@ -75,31 +75,31 @@ def identify_fleet(options: FleetOptions) -> FleetIdentification:
     files = [folder / "fleet.html"]
     lines, evidence = {}, {}
     for robot in robots:
-        lines[robot.name], told = _written(fleet, robot, folder, since)
-        if told is not None:
-            evidence[robot.name] = told
+        lines[robot.name], likelihood = _written(fleet, robot, folder, since)
+        if likelihood is not None:
+            evidence[robot.name] = likelihood
     if len(evidence) >= FEWEST:
         options.progress("population", 0.0)
         population, members = population_and_members(list(evidence.values()))
         files.append(folder / "population.json")
         write_population(files[-1], population)
         for name, member in zip(evidence, members, strict=True):
-            unlike = tuple(_in_words(what, evidence[name], population) for what in member.unlike)
+            unlike = tuple(_in_words(part, evidence[name], population) for part in member.unlike)
             lines[name] = replace(lines[name], distance=member.distance, unlike=unlike)
     bad = [(bag.url, outcome.error) for robot in robots for bag, outcome in robot.bags if outcome.error]
     doubtful = [
         (bag.url, "; ".join(outcome.doubts)) for robot in robots for bag, outcome in robot.bags if outcome.doubts
     ]
     ordered = sorted(lines.values(), key=lambda line: line.remarkable, reverse=True)
-    found = FleetIdentification(lines=ordered, bad=bad, doubtful=doubtful, files=files)
-    write_fleet_page(files[0], found)
-    return found
+    result = FleetIdentification(lines=ordered, bad=bad, doubtful=doubtful, files=files)
+    write_fleet_page(files[0], result)
+    return result
 
 
 def _written(
     fleet: Fleet, robot: FleetRobot, folder: Path, since: Path | None
 ) -> tuple[RobotLine, RobotLikelihood | None]:
-    """The line of a robot, whose files are written, and what it says of its type, if its result can be used."""
+    """Write the files of a robot; return its line, and its evidence about the robot type if its result is usable."""
     if not robot.kept:
         line = RobotLine(name=robot.name, bags=len(robot.bags), used=0, verdict="no estimate", reasons=(robot.error,))
         return line, None
@@ -121,10 +121,10 @@ def _written(
     return line, results.evidence if verdict.word == USABLE else None
 
 
-def _in_words(what: str, robot: RobotLikelihood, population: Population) -> str:
-    """In what a robot is unlike the others: a link with its mass, or an effect."""
-    if what not in robot.links:
-        return what.replace("_", " ")
-    own = robot.parameters[10 * robot.links.index(what)]
-    usual = population.parameters[10 * population.links.index(what)]
-    return f"{what}: {own:.3g} kg, others {usual:.3g} kg"
+def _in_words(part: str, robot: RobotLikelihood, population: Population) -> str:
+    """Describe how a robot deviates from the population at a ``part``: a link with its mass, or an effect."""
+    if part not in robot.links:
+        return part.replace("_", " ")
+    mass = robot.parameters[10 * robot.links.index(part)]
+    population_mass = population.parameters[10 * population.links.index(part)]
+    return f"{part}: {mass:.3g} kg, others {population_mass:.3g} kg"

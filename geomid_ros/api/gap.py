@@ -48,8 +48,8 @@ class Gap:
         held_out: the held-out samples, one element per recording.
         simulated: resimulations of these recordings in MuJoCo, before and after.
         not_simulated: why there is no resimulation; empty if there is one.
-        reader: who will read the description that is written.
-        with_simulator: whether a simulator of the user's, which knows more than the description, was compared with.
+        reader: software that will read the robot description.
+        with_simulator: True if compared with a simulator of the user's, which models more than the description.
     """
 
     session: Session
@@ -68,25 +68,25 @@ class Gap:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The effects found, the most certain first."""
+        """Effects found, the most certain first."""
         return self.result.findings
 
     @cached_property
     def handover(self) -> JudgedFile | None:
-        """How well the description for :attr:`reader` predicts the held-out samples, loaded by the program that reads
-        it; None beside a simulator of the user's, which has the rest.
+        """Prediction error of the description for :attr:`reader` on the held-out samples, after its reader has loaded
+        it. None with a simulator of the user's, because the rest of the model is in that simulator.
 
         Raises:
-            InputError: the program does not take it.
+            InputError: the reader rejects it.
         """
         if self.with_simulator:
             return None
-        found = dict(zip(self.result.channels, (self.result.gap.after * self.result.floor).tolist(), strict=True))
-        return judge(self.session, self.reader, self._description, self.held_out, found)
+        identified = dict(zip(self.result.channels, (self.result.gap.after * self.result.floor).tolist(), strict=True))
+        return judge(self.session, self.reader, self._description, self.held_out, identified)
 
     @cached_property
     def _description(self) -> Whole:
-        """The description for :attr:`reader`, of the model as it is written."""
+        """Description for :attr:`reader` of the model as it is written."""
         with TemporaryDirectory() as folder:
             write_found(Path(folder), self.session, self.result, self.reader)
             model = read_model(Path(folder) / "estimate.json", self.reader)
@@ -94,13 +94,13 @@ class Gap:
 
     @property
     def status(self) -> int:
-        """The exit status: 4 for a doubtful recording, or a description that predicts worse than the one given."""
-        judged = recording_verdict(self.session.review.findings)
-        return STATUS[DOUBTFUL] if self.handover and self.handover.worse else judged.status
+        """Exit status: 4 for a doubtful recording, or a description that predicts worse than the one given."""
+        verdict = recording_verdict(self.session.review.findings)
+        return STATUS[DOUBTFUL] if self.handover and self.handover.worse else verdict.status
 
     @property
     def document(self) -> dict[str, Any]:
-        """All numbers, as ``gap.json`` has them."""
+        """All numbers, as in ``gap.json``."""
         document = gap_document(self.result, {simulation.kind: simulation.errors for simulation in self.simulated})
         session = self.session
         stamps = self.result.trace.stamps
@@ -116,15 +116,15 @@ class Gap:
             "warnings": session.review.warnings(),
             "notes": session.notes,
         }
-        judged = {self.reader: self.handover.entry} if self.handover else {}
-        return document | remarks | {"handover": judged}
+        handover = {self.reader: self.handover.entry} if self.handover else {}
+        return document | remarks | {"handover": handover}
 
     def report(self, path: PathLike, *, progress: Progress = silent) -> Path:
-        """Write one HTML page with all results and plots, which needs no network.
+        """Write one HTML page with all results and plots. The page needs no network.
 
         Args:
             path: the file.
-            progress: called with the current stage and its completed share, 0 to 1.
+            progress: called with the current stage and its completed fraction, 0 to 1.
 
         Returns:
             The same path.
@@ -145,12 +145,12 @@ class Gap:
         return Path(path)
 
     def save(self, folder: PathLike, *, report: bool = True, progress: Progress = silent) -> list[Path]:
-        """Write report.html, gap.json, findings.csv, and the model with what was found.
+        """Write report.html, gap.json, findings.csv, and the model with the findings.
 
         Args:
             folder: created if it does not exist.
             report: whether to write report.html, which is for people.
-            progress: called with the current stage and its completed share, 0 to 1.
+            progress: called with the current stage and its completed fraction, 0 to 1.
 
         Returns:
             The files; the model is estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
@@ -185,23 +185,23 @@ class Gap:
 
 @takes(GapOptions)
 def find_gap(options: GapOptions) -> Gap:
-    """Find where simulation and measurement disagree, by which effect, and how much of the gap it closes.
+    """Find where simulation and measurement disagree, which effect explains it, and how much of the gap it closes.
 
-    ``geomid gap`` calls this; its options have the same names, but ``--for`` for ``reader``. With ``model``, an
-    estimate.json is compared with instead of the URDF's inertias alone.
+    ``geomid gap`` calls this; its options have the same names, but ``--for`` for ``reader``. With ``model``, the
+    baseline is an estimate.json instead of the URDF with its inertias alone.
 
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    recorded, twins = recordings(options, options.bags), bag_paths(options.simulated)
+    recorded, simulated = recordings(options, options.bags), bag_paths(options.simulated)
     robot = description(options, recorded.fitted, options.model)
     parameters = configuration(options, options.model)
     notes: Sequence[str] = ()
-    if parameters.gains:  # only a small delay is a column
+    if parameters.gains:  # the delay column is first order: apply the delay first
         first = identify(options.bags, candidates=(), **shared(options, RecordingOptions)).session
         parameters, notes = parameters.with_values({DELAY: first.configuration[DELAY]}), first.review.settled
     session, samples = robot.read(
-        gap_session, parameters, lambda session: GapReader(session, recorded, options.progress).read(twins)
+        gap_session, parameters, lambda session: GapReader(session, recorded, options.progress).read(simulated)
     )
     session.review.settled.extend(note for note in notes if note not in session.review.settled)
     session.review.check_description()
@@ -210,22 +210,22 @@ def find_gap(options: GapOptions) -> Gap:
             f"{session.loaded.source}: has no fits for description formats: what is written has the estimate's own "
             "inertias; identify again from bags to have them"
         )
-    of_bags = GapReader(session, recorded, options.progress)
-    sharp = of_bags.sharp()
-    commands = of_bags.sharp(options.command) if options.command else []
+    reader = GapReader(session, recorded, options.progress)
+    sharp = reader.sharp()
+    commands = reader.sharp(options.command) if options.command else []
     try:
         result = find(session, samples, standing_of(session), options.progress)
     except InputError as error:
         raise InputError(f"{', '.join(map(str, recorded.fitted))}: {error}") from error
     options.progress("simulating again", 0.0)
-    again, not_simulated = simulate_again(session, result, sharp, commands, samples.cutoff)
+    resimulated, not_simulated = simulate_again(session, result, sharp, commands, samples.cutoff)
     return Gap(
         session=session,
         bags=recorded,
         result=result,
         held_out=samples.held_out,
-        simulated=again,
+        simulated=resimulated,
         not_simulated=not_simulated,
         reader=options.reader,
-        with_simulator=bool(twins),
+        with_simulator=bool(simulated),
     )

@@ -1,4 +1,4 @@
-"""Identification of link inertias from rosbags: its numbers, how well they predict, the verdict on them, and files."""
+"""Identification of link inertias from rosbags: estimate, prediction error, verdict and files."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 
 DELAY = "command.delay"
-"""The parameter that an identification finds of commands."""
+"""Configuration parameter for the delay of commands; the identification estimates it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,8 +63,8 @@ class Identification:
         estimate: result of the solver.
         held_out: the held-out samples, in batches; empty if nothing was held out.
         judged: the samples that the result is tested on: ``held_out``, or the fitted samples if that is empty.
-        reader: who will read the description that is written.
-        command: topic of the joints' set-points, to simulate them.
+        reader: software that will read the robot description.
+        command: topic of the joint set-points, to simulate the robot under them.
     """
 
     session: Session
@@ -77,17 +77,17 @@ class Identification:
 
     @property
     def links(self) -> tuple[LinkEstimate, ...]:
-        """The links with mass, centre of mass, inertia and their standard deviations."""
+        """Links with mass, centre of mass, inertia and their standard deviations."""
         return self.estimate.links
 
     @property
     def effects(self) -> tuple[EffectEstimate, ...]:
-        """The effects' coefficients with their standard deviations."""
+        """Coefficients of the effects with their standard deviations."""
         return self.estimate.effects
 
     @property
     def rms(self) -> dict[str, float]:
-        """RMS of the estimate's residual, by channel [N m, N], on held-out data, or the fitted data if there are none.
+        """Residual RMS of the estimate by channel [N m, N], on held-out data, or the fitted data if there are none.
         NaN for a channel that was not measured."""
         return self._by_channel(self.estimate.rms if self.held_out_rms is None else self.held_out_rms)
 
@@ -99,68 +99,67 @@ class Identification:
     @cached_property
     def verdict(self) -> Verdict:
         """Verdict on the result: ``usable``, ``doubtful`` or ``not converged``, with the reasons."""
-        judged = self.session.review.verdict(self.estimate, self.judged, self.held_out_rms)
-        judged = replace(judged, warnings=(*judged.warnings, *self.handover.limited))
+        verdict = self.session.review.verdict(self.estimate, self.judged, self.held_out_rms)
+        verdict = replace(verdict, warnings=(*verdict.warnings, *self.handover.limited))
         worse = self.handover.worse
-        return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *worse)) if worse else judged
+        return replace(verdict, word=DOUBTFUL, reasons=(*verdict.reasons, *worse)) if worse else verdict
 
     @cached_property
     def written(self) -> HandedOver:
-        """The description that is written for :attr:`reader`."""
+        """Robot description written for :attr:`reader`."""
         return HandedOver(self.session, self.estimate, self.reader)
 
     @cached_property
     def handover(self) -> JudgedFile:
-        """How well that description predicts what is judged on, loaded again by the program that reads it.
+        """Prediction error of :attr:`written` on :attr:`judged`, after its reader has loaded it again.
 
         Raises:
-            InputError: the program does not take it.
+            InputError: the reader rejects it.
         """
         return self.written.judged(self.judged, self.rms)
 
     @cached_property
     def train(self) -> Sequence[Samples]:
-        """The fitted samples, in batches; if others are held out, they are read from the bags again, as they are not
-        kept."""
+        """The fitted samples, in batches; read from the bags again if others are held out, as they are not kept."""
         if not self.held_out:
             return self.judged
         return read_fitted(Session(*self.same_again), self.bags)
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
-        """RMS of the URDF's residual, by channel [N m, N], with its inertias and no effects."""
+        """Residual RMS of the URDF by channel [N m, N], with its inertias and no effects."""
         if not self.held_out:
             return self._by_channel(self.estimate.rms_nominal)
         return self._by_channel(self._rms_on_held_out[:, 0])
 
     @cached_property
     def held_out_rms(self) -> FloatArray | None:
-        """RMS of the residuals on held-out data ``(channels,)``; None if nothing was held out."""
+        """Residual RMS on held-out data ``(channels,)``; None if nothing was held out."""
         return self._rms_on_held_out[:, 1] if self.held_out else None
 
     @cached_property
     def _rms_on_held_out(self) -> FloatArray:
-        """Of the URDF and of the estimate ``(channels, 2)``."""
+        """Residual RMS of the URDF and of the estimate ``(channels, 2)``."""
         parameters = np.column_stack([self.session.model.nominal_parameters, self.estimate.parameters])
         return self.session.rms(self.held_out, parameters)
 
     @cached_property
     def tracking(self) -> Tracking | None:
-        """How far the robot of that description is from the measured one under the recorded commands, simulated in
-        MuJoCo on what is held out; None without a :attr:`command`.
+        """Deviation of a robot built from :attr:`written` from the measured one under the recorded commands, simulated
+        in MuJoCo on the held-out data; None without a :attr:`command`.
 
         Raises:
             InputError: MuJoCo is not installed, nothing is held out, or the topic cannot be read.
         """
         if self.command is None:
             return None
-        from geomid_ros.session.written_simulation import tracking_of  # noqa: PLC0415 seldom asked for
+        from geomid_ros.session.written_simulation import tracking_of  # noqa: PLC0415 rarely needed
 
         return tracking_of(Session(*self.same_again), self.written.model, self.bags, self.command)
 
     @property
     def same_again(self) -> tuple[str, Configuration, str]:
-        """What another session of the same robot is made of."""
+        """URDF, configuration and source, to create another session of the same robot."""
         return self.session.urdf, self.session.configuration, self.session.robot.source
 
     def _by_channel(self, values: FloatArray) -> dict[str, float]:
@@ -168,21 +167,21 @@ class Identification:
 
     @property
     def document(self) -> dict[str, Any]:
-        """All numbers, as ``estimate.json`` has them, but for where they are from."""
-        found = document(self.session, self.estimate, self.held_out_rms, self.verdict)
-        found["handover"][self.reader] |= self.handover.entry
+        """All numbers, as in ``estimate.json``, but without their origin."""
+        entries = document(self.session, self.estimate, self.held_out_rms, self.verdict)
+        entries["handover"][self.reader] |= self.handover.entry
         if self.tracking is not None:
-            found["handover"][self.reader]["tracking"] = dict(self.tracking.rms)
+            entries["handover"][self.reader]["tracking"] = dict(self.tracking.rms)
         model = self.session.model
         masses = model.nominal_inertias.reshape(-1, 10)[:, 0].tolist()
-        return found | {
+        return entries | {
             "urdf_masses": dict(zip(model.body_names, masses, strict=True)),
             "channels": [self._channel(channel) for channel in model.channels if math.isfinite(self.rms[channel.name])],
-            "telling": self._telling,
+            "telling": self._suggested_motions,
         }
 
     def _channel(self, channel: Channel) -> dict[str, Any]:
-        """RMS of a channel's residual by the URDF, by the estimate, and by the written file."""
+        """Residual RMS of a channel: URDF, estimate, and written file."""
         return {
             "channel": channel.name,
             "unit": channel.unit,
@@ -194,24 +193,24 @@ class Identification:
         }
 
     @cached_property
-    def _telling(self) -> dict[str, dict[str, list[str]]]:
-        """By link and motion, the quantities that it would identify."""
+    def _suggested_motions(self) -> dict[str, dict[str, list[str]]]:
+        """Quantities that a motion would identify, by link and motion."""
         return suggested_motions(self.session.model, self.estimate)
 
     @property
     def judged_on(self) -> str:
-        """What :attr:`judged` is."""
+        """Name of the data in :attr:`judged`."""
         return "held-out data" if self.held_out else "fitted data"
 
     @property
     def not_written(self) -> str:
-        """What the description for :attr:`reader` cannot hold, in a sentence; empty for nothing."""
+        """Effects that the description for :attr:`reader` cannot represent, in a sentence; empty if there are none."""
         names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ELEMENTS[self.reader])
         sentence = f"Not representable in {self.written.name}: {'; '.join(names)}"
         return f"{sentence}. The file is fitted without them; estimate.json has them." if names else ""
 
     def __repr__(self) -> str:
-        """Reasons for doubt, and a line for each link."""
+        """Reasons for doubt, the state of convergence, and a line for each link."""
         state = "converged" if self.estimate.converged else f"NOT converged ({self.estimate.reason})"
         lines = [
             f"  {link.name}: {link.mass:.3f} ± {link.std_mass:.3f} kg, {100 * link.from_data:.0f} % from data"
@@ -221,12 +220,12 @@ class Identification:
         return "\n".join([*self.verdict.remarks, heading, *lines])
 
     def urdf(self) -> str:
-        """The robot description with the identified inertias and friction; every other character is kept."""
+        """Return the URDF with the identified inertias and friction; every other character is kept."""
         return identified_urdf(self.session, self.estimate)
 
     def plot(self) -> Figure:
         """Draw the bodies before and after, and the channels measured and predicted."""
-        from geomid_ros.report.drawing import draw_identification  # noqa: PLC0415 matplotlib, for pictures alone
+        from geomid_ros.report.drawing import draw_identification  # noqa: PLC0415 imports matplotlib
 
         return draw_identification(self.session, self.estimate, self.judged, self._series, self.judged_on)
 
@@ -236,7 +235,7 @@ class Identification:
         return series_of(self.session, self.estimate, self.judged)
 
     def _document(self, command: str) -> dict[str, Any]:
-        """All numbers with where they are from: the program, what was run, and what was read."""
+        """Return all numbers with their origin: the program, the command line, and the files read."""
         urdf = hashlib.sha256(self.session.urdf.encode(errors="replace")).hexdigest()
         origin = {
             "version": installed_version(),
@@ -251,7 +250,7 @@ class Identification:
         return self.document | {"origin": origin}
 
     def report(self, path: PathLike, *, command: str = "geomid_ros.identify") -> Path:
-        """Write one HTML page with all results and plots, which needs no network.
+        """Write one HTML page with all results and plots. The page needs no network.
 
         Args:
             path: the file.
@@ -276,12 +275,12 @@ class Identification:
         command: str = "geomid_ros.identify",
     ) -> list[Path]:
         """Write estimate.json, identified.urdf, effects.yaml, posterior.npz, tables (CSV), identification.png,
-        report.html, and the description for :attr:`reader`: all of them, or none.
+        report.html, and the description for :attr:`reader`. If one cannot be written, none is.
 
         Args:
             folder: created if it does not exist.
             report: whether to write identification.png and report.html, which are for people.
-            progress: called with the current stage and its completed share, 0 to 1.
+            progress: called with the current stage and its completed fraction, 0 to 1.
             command: the command line, for the report.
 
         Returns:
@@ -309,7 +308,7 @@ class Identification:
         return [*written, sidecar, *posterior, *csv]
 
     def _write_report(self, folder: Path, progress: Progress, command: str) -> list[Path]:
-        from geomid_ros.report.pictures import write_picture  # noqa: PLC0415 as above
+        from geomid_ros.report.pictures import write_picture  # noqa: PLC0415 imports matplotlib
 
         picture = folder / "identification.png"
         progress("drawing", 0.0)
@@ -317,8 +316,8 @@ class Identification:
         return [picture, self.report(folder / "report.html", command=command)]
 
     def _remainder(self, folder: Path, progress: Progress) -> StandingRemainder | None:
-        """What the estimate in a folder lacks on the bags, as ``geomid gap --model`` will see it; None, and that is
-        told, where it cannot be found: the estimate is worth keeping without it."""
+        """Return the remainder of the estimate in ``folder`` on the bags, as ``geomid gap --model`` will compute it.
+        Return None and add a note if it cannot be computed: the estimate is worth keeping without it."""
         urdf, configuration, source = self.same_again
         written = configuration.with_values({"model": str(folder / "estimate.json"), "prior": ""})
         try:
@@ -339,25 +338,25 @@ def identify(options: IdentifyOptions) -> Identification:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
     recorded = recordings(options, options.bags)
-    alone = options.effects is not None and options.candidates is None
-    parameters = configuration(options, options.model, **({"candidates": []} if alone else {}))
+    only_effects = options.effects is not None and options.candidates is None
+    parameters = configuration(options, options.model, **({"candidates": []} if only_effects else {}))
     robot = description(options, recorded.fitted, options.model)
 
     def solved(parameters: Configuration) -> tuple[Session, list[Samples], list[Samples], Estimate]:
         make = partial(Session, readers=(*READERS,))
-        session, (held_out, judged) = robot.read(
+        session, (held_out, tested) = robot.read(
             make, parameters, lambda session: _read(session, recorded, options.progress)
         )
         session.review.check_description()
         options.progress("solving", 0.0)
-        return session, held_out, judged, session.identifier.solve()
+        return session, held_out, tested, session.identifier.solve()
 
-    session, held_out, judged, estimate = solved(parameters)
+    session, held_out, tested, estimate = solved(parameters)
     for _ in range(ROUNDS):
-        if (delay := _late(estimate)) is None:
+        if (delay := _command_delay(estimate)) is None:
             break
         parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
-        session, held_out, judged, estimate = solved(parameters)
+        session, held_out, tested, estimate = solved(parameters)
     if parameters[DELAY]:
         session.review.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
     return Identification(
@@ -365,27 +364,28 @@ def identify(options: IdentifyOptions) -> Identification:
         bags=recorded,
         estimate=estimate,
         held_out=held_out,
-        judged=judged,
+        judged=tested,
         reader=options.reader,
         command=options.command,
     )
 
 
-def _late(estimate: Estimate) -> float | None:
-    """How late commands act [s], if they do: a delay is identified to first order, as it becomes smaller exactly."""
+def _command_delay(estimate: Estimate) -> float | None:
+    """Return the identified delay of commands [s], or None if it is not significant. The model is first order in the
+    delay, so :func:`identify` applies it and repeats, at most :data:`ROUNDS` times."""
     delays = (effect for effect in estimate.effects if effect_class(effect.name).place == "commands")
     return next((effect.value for effect in delays if abs(effect.value) > STDS_OF_95 * effect.std), None)
 
 
 def _recording(share: float) -> str:
-    """What a recording is for, of which a share is held out."""
+    """Describe the use of a recording of which ``share`` is held out."""
     if share >= 1.0:
         return "recording, held out"
     return "recording, fitted" + (f" except the last {100.0 * share:.0f} %" if share > 0.0 else "")
 
 
 def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Samples], list[Samples]]:
-    """The samples that are held out, and those to judge on: the same, or all that were fitted."""
+    """Return the held-out samples, and the samples to test on: the same, or all fitted ones if none are held out."""
     training, train = Training(session), list[Samples]()
 
     def fit(samples: Samples) -> None:

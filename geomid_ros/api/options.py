@@ -1,4 +1,4 @@
-"""The options of each function, and of its command."""
+"""Options of each function and of its command."""
 
 from __future__ import annotations
 

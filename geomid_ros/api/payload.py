@@ -19,7 +19,7 @@ from geomid_ros.session.session import Session
 
 @takes(PayloadOptions)
 def weigh_payload(options: PayloadOptions) -> Payload:
-    """Identify a payload: both recordings share links and friction; the loaded one has an additional body.
+    """Identify a payload. Both recordings share links and friction; the loaded one has an additional body.
 
     ``geomid payload`` calls this; its options have the same names. All joints must move in both recordings; the motions
     may differ.
@@ -28,7 +28,7 @@ def weigh_payload(options: PayloadOptions) -> Payload:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
     model = _estimate(options.empty)
-    known = None if model is None else read_posterior(beside(model))
+    posterior = None if model is None else read_posterior(beside(model))
     parameters = efforts_of_command(options, configuration(options, model))
     both = bag_paths(options.empty) if model is None else [], bag_paths(options.loaded)
     robot = description(options, [*both[0], *both[1]], model)
@@ -37,17 +37,17 @@ def weigh_payload(options: PayloadOptions) -> Payload:
     )
     session.review.check_description()
     options.progress("solving", 0.0)
-    return weigh_at(session, known or before, after, parameters["payload.frame"], parameters["payload.gain"])
+    return weigh_at(session, posterior or before, after, parameters["payload.frame"], parameters["payload.gain"])
 
 
 def _estimate(empty: Paths) -> Path | None:
-    """The estimate.json that is given in place of recordings."""
+    """Return the estimate.json, if one is given instead of recordings."""
     given = paths(empty)
     return given[0] if len(given) == 1 and given[0].suffix == ".json" else None
 
 
 def _all(session: Session, bags: Sequence[Path], options: PayloadOptions) -> Sequence[Samples]:
-    """All samples of some bags."""
+    """Read all samples of the bags."""
     if not bags:
         return ()
     session.review.judge_apart()

@@ -1,4 +1,4 @@
-"""From the files of a result to its page and tables, without the recordings."""
+"""Page and tables of a result, rebuilt from its files without the recordings."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _GAP, _ESTIMATE, _PAGE = "gap.json", "estimate.json", "report.html"
 def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Path]:
     """Write the page and the tables of a result again from its files, without the recordings.
 
-    ``geomid report`` calls this; its options have the same names. What needs the recordings, above all time series, is
-    left out, and the page says so.
+    ``geomid report`` calls this; its options have the same names. Parts that need the recordings, above all time
+    series, are left out, and the page says so.
 
     Args:
         folder: of ``geomid identify`` (estimate.json) or ``geomid gap`` (gap.json).
-        out: folder of what is written; None for the same.
+        out: output folder; None for the same folder.
 
     Returns:
         The files.
@@ -42,25 +42,25 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
     if (source / _GAP).is_file():
         document = read_gap(source / _GAP)
         with _needed(source / _GAP, "geomid gap"):
-            found = tables(document)
+            csv = tables(document)
             file = GapFile.of(document, str(source / _GAP))
             rigid = np.zeros((0, len(file.result.channels)))
             write_gap_page(page, GapPage(file=file, result=file.result, rigid=rigid, simulated=_simulated(file)))
-        return [page, *write_tables(target, found)]
+        return [page, *write_tables(target, csv)]
     if not (source / _ESTIMATE).is_file():
         raise InputError(f"{source}: no result is in this folder, neither {_ESTIMATE} nor {_GAP}")
     estimate = EstimateFile.read(source / _ESTIMATE)
     with _needed(source / _ESTIMATE, "geomid identify"):
         if missing := [key for key in OF_PAGE if key not in estimate.document]:
             raise InputError(f"{missing[0]} is not given")
-        found = tables(estimate.document)
+        csv = tables(estimate.document)
         write_identification_page(page, estimate)
-    return [page, *write_tables(target, found)]
+    return [page, *write_tables(target, csv)]
 
 
 @contextmanager
 def _needed(path: Path, command: str) -> Iterator[None]:
-    """Say of a file that lacks what its page needs which one it is. Raises InputError."""
+    """Turn errors about entries that the page needs into one InputError that names the file."""
     try:
         yield
     except (InputError, AttributeError, IndexError, KeyError, TypeError, ValueError, TemplateError) as error:
@@ -71,7 +71,7 @@ def _needed(path: Path, command: str) -> Iterator[None]:
 
 
 def _simulated(file: GapFile) -> list[Resimulated]:
-    """The errors of the simulations that there were, without their motions."""
+    """Return the errors of the resimulations in the file, without their motions."""
     kinds: list[tuple[Kind, Errors | None]] = [("windows", file.resimulated), ("closed_loop", file.closed_loop)]
     return [
         Resimulated(kind=kind, before=errors["before"], after=errors["after"])

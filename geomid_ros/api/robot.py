@@ -1,4 +1,4 @@
-"""From what a user says of a robot to its description, its recordings and its configuration."""
+"""From the user's options to robot description, recordings and configuration."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ T = TypeVar("T")
 
 
 def bag_paths(given: Paths) -> list[Path]:
-    """Bags, as a list; for a folder of bags, those in it."""
+    """List the bags; a folder of bags stands for all bags in it."""
     return [bag for path in paths(given) for bag in bags_in(path)]
 
 
 def entries(argument: str, given: Texts) -> list[str]:
-    """One text or several, as the list that is given for a parameter, where an empty text would pass for none.
+    """Return one text or several as the list for a parameter, in which an empty text would count as none.
 
     Raises:
         InputError: a text is empty; it names the ``argument``.
@@ -42,12 +42,12 @@ def entries(argument: str, given: Texts) -> list[str]:
 
 
 def beside(model: PathLike) -> Path:
-    """The description that is written with an estimate.json."""
+    """Path of the identified.urdf in the folder of an estimate.json."""
     return Path(model).parent / "identified.urdf"
 
 
 class DescribedRobot(NamedTuple):
-    """The ``text`` of a URDF, its ``source``, and ``notes`` on where it was found if nobody named it."""
+    """The ``text`` of a URDF, its ``source``, and ``notes`` on where it was found if the user named none."""
 
     text: str
     source: str
@@ -59,20 +59,20 @@ class DescribedRobot(NamedTuple):
         parameters: Configuration,
         read: Callable[[Session], T],
     ) -> tuple[Session, T]:
-        """A session of this robot that ``make`` makes, and what is ``read`` for it; see
+        """Return the session of this robot made by ``make``, and the result of ``read`` for it; see
         :func:`~geomid_ros.session.recordings.read_with_locked`."""
-        session, found = read_with_locked(lambda own: make(self.text, own, self.source), parameters, read)
+        session, data = read_with_locked(lambda values: make(self.text, values, self.source), parameters, read)
         session.review.settled.extend(self.notes)
-        return session, found
+        return session, data
 
 
 def description(options: DescriptionOptions, bags: Sequence[Path], model: PathLike | None = None) -> DescribedRobot:
-    """The robot description.
+    """Return the robot description.
 
     Args:
-        options: its path, or the text itself; if there is none, it is the identified.urdf beside ``model``, or else
-            what is recorded in the ``bags``. A .xacro file is run with its arguments.
-        bags: of the robot.
+        options: its path, or the text itself. Without it, the identified.urdf in the folder of ``model`` is used, or
+            else the description recorded in the ``bags``. A .xacro file is run with its arguments.
+        bags: recordings of the robot.
         model: an estimate.json to start from.
 
     Raises:
@@ -87,15 +87,15 @@ def description(options: DescriptionOptions, bags: Sequence[Path], model: PathLi
         raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is not a {SUFFIX} file")
     if urdf is not None:
         return DescribedRobot(read_urdf(Path(urdf)), str(urdf))
-    if model is not None and (own := beside(model)).is_file():
-        text, source = read_urdf(own), str(own)
+    if model is not None and (identified := beside(model)).is_file():
+        text, source = read_urdf(identified), str(identified)
     else:
         text, source = recorded_description(bags)
     return DescribedRobot(text, source, (f"no --urdf is given: using the description of {source}",))
 
 
 def topics(options: RobotOptions) -> Topics:
-    """The topics that recordings are read from."""
+    """Return the topics to read recordings from."""
     if options.imu is not None and options.odom_topic != ODOM:
         raise InputError("--odom-topic beside --imu: an IMU is in place of the base's pose; leave one of them out")
     imu = IMU if options.imu is None else Imu.parse(options.imu).topic
@@ -103,13 +103,13 @@ def topics(options: RobotOptions) -> Topics:
 
 
 def recordings(options: RecordingOptions, fitted: Paths) -> Bags:
-    """The recordings to fit and to judge on. Raises InputError: there is none, or one is given twice."""
+    """Return the recordings to fit and to test on. Raises InputError: there is none, or one is given twice."""
     validate = bag_paths(options.validate)
     return Bags(fitted=bag_paths(fitted), validate=validate, hold_out=options.hold_out, topics=topics(options))
 
 
 def configuration(options: DescriptionOptions, model: PathLike | None = None, **values: Any) -> Configuration:
-    """The parameters of ``config`` with what the other options say.
+    """Return the parameters of ``config`` combined with the other options.
 
     Args:
         options: which robot it is.
@@ -119,34 +119,34 @@ def configuration(options: DescriptionOptions, model: PathLike | None = None, **
     Raises:
         InputError: a parameter is unknown or has a wrong value.
     """
-    said = _set_by(options) | _gains(options.gain) | values
+    overrides = _set_by(options) | _gains(options.gain) | values
     if model is not None:
-        said["model"] = str(model)
+        overrides["model"] = str(model)
     if isinstance(options, RobotOptions) and options.imu is not None:
-        said["imu.frame"] = Imu.parse(options.imu).frame
+        overrides["imu.frame"] = Imu.parse(options.imu).frame
     if isinstance(options, RobotOptions) and options.gains:
-        said["command.gains"] = [own for text in entries("gains", options.gains) for own in _gains_of(text)]
+        overrides["command.gains"] = [gain for text in entries("gains", options.gains) for gain in _gains_of(text)]
     result = _base(options.config)
     if options.wrench:
         result = result.with_sensors([WrenchSensor.parse(text) for text in texts(options.wrench)])
-    return result.with_values(Configuration(said, "options").given)
+    return result.with_values(Configuration(overrides, "options").given)
 
 
 def _set_by(options: Options) -> dict[str, Any]:
-    """The parameters that options are declared to set, of those that are given."""
-    said: dict[str, Any] = {}
-    for each in fields(options):
-        value = getattr(options, each.name)
-        if "sets" not in each.metadata or value is each.default:
+    """Return the parameters set by those options that are given and declare one (``sets``)."""
+    values: dict[str, Any] = {}
+    for option in fields(options):
+        value = getattr(options, option.name)
+        if "sets" not in option.metadata or value is option.default:
             continue
-        if str(each.type).startswith("Texts"):
-            value = entries(each.name, value)
-        said[each.metadata["sets"]] = str(value) if isinstance(value, Path) else value
-    return said
+        if str(option.type).startswith("Texts"):
+            value = entries(option.name, value)
+        values[option.metadata["sets"]] = str(value) if isinstance(value, Path) else value
+    return values
 
 
 def efforts_of_command(options: RobotOptions, parameters: Configuration) -> Configuration:
-    """The ``parameters`` where nothing is simulated. Raises InputError for set-points that would not be read."""
+    """Return the ``parameters`` if nothing is simulated. Raises InputError if the set-points would be ignored."""
     if options.command is not None and not parameters.gains:
         raise InputError(
             f"--command {options.command} without --gains: here set-points serve as efforts, by the gains of their "
@@ -164,14 +164,14 @@ def _base(config: Config | None) -> Configuration:
 
 
 def _gains(given: Gains) -> dict[str, float]:
-    """The parameters that factors set."""
+    """Return the parameters set by effort gains."""
     if isinstance(given, Mapping):
         return {f"joint.{joint}.effort_gain": float(factor) for joint, factor in given.items()}
     return dict(_gain(str(entry)) for entry in ([given] if isinstance(given, float | int | str) else given))
 
 
 def _gain(text: str) -> tuple[str, float]:
-    """The parameter that ``[JOINT=]FACTOR`` sets, and its value."""
+    """Return the parameter set by ``[JOINT=]FACTOR``, and its value."""
     joint, _, factor = text.rpartition("=")
     try:
         return (f"joint.{joint}.effort_gain" if joint else "effort_gain"), float(factor)
@@ -180,12 +180,12 @@ def _gain(text: str) -> tuple[str, float]:
 
 
 def _gains_of(text: str) -> list[str]:
-    """The entries of ``gains`` that a text is, or that the parameters of a joint_trajectory_controller are in the file
-    of this name. Raises InputError naming the file."""
+    """Return the entries of ``gains``: the text itself, or, if it names a file, the parameters of a
+    joint_trajectory_controller in that file. Raises InputError naming the file."""
     if not Path(text).is_file():
         return [text]
-    said = read_parameter_file(Path(text))
-    joints = [name[len("gains.") : -len(".p")] for name in said if name.startswith("gains.") and name.endswith(".p")]
+    file = read_parameter_file(Path(text))
+    joints = [name[len("gains.") : -len(".p")] for name in file if name.startswith("gains.") and name.endswith(".p")]
     if not joints:
         raise InputError(f"{text}: expected gains.JOINT.p and .d, as a joint_trajectory_controller has them")
-    return [f"{joint}={said[f'gains.{joint}.p']}:{said.get(f'gains.{joint}.d', 0.0)}" for joint in joints]
+    return [f"{joint}={file[f'gains.{joint}.p']}:{file.get(f'gains.{joint}.d', 0.0)}" for joint in joints]

@@ -1,15 +1,15 @@
-"""Verification of a model on disk against a recording, and of what a user requires of it.
+"""Verification of a model on disk against a recording and against requirements of the user.
 
-A requirement is ``[PLACE.]QUANTITY COMPARISON BOUND`` (``rms<2*floor``, ``joint2.rms<1.5``, ``total.mass<24``), and
-without a place it is one of every place, as far as what it compares is measured and known:
+A requirement is ``[PLACE.]QUANTITY COMPARISON BOUND`` (``rms<2*floor``, ``joint2.rms<1.5``, ``total.mass<24``).
+Without a place it applies to every place where the quantity and its reference are measured and known. Quantities:
 
-- ``rms``, of a channel: RMS of what the model leaves of the recording [N m, N];
+- ``rms``, of a channel: RMS of the residual of the model on the recording [N m, N];
 - ``mass``, of a link, or of all links together, ``total``: [kg];
-- ``from_data``, of a link: share of the prior's variance that the data removed, 0 to 1.
+- ``from_data``, of a link: fraction of the prior variance that the data removed, 0 to 1.
 
 A comparison is ``<``, ``<=``, ``>`` or ``>=``. A bound is a number, ``floor``, ``urdf``, or a number times one of them:
-``2*floor``. The floor of an rms is that of the fitted data when the model was identified; ``urdf`` is the same quantity
-of the URDF, with sensors corrected as the model says.
+``2*floor``. The floor of an rms is the noise floor of the data that the model was fitted to. ``urdf`` is the same
+quantity of the URDF, with the sensor corrections of the model.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Verification:
 
     Attributes:
         session: the robot and its model.
-        rms: by channel, residual RMS of the model (``value``), of the noise (``floor``; where the file does not say it,
-            of the model on the data it was fitted to), and of the URDF (``urdf``); NaN if not measured or not known.
+        rms: by channel, residual RMS of the model (``value``), RMS of the noise (``floor``; if the file has none, the
+            model's on its fitted data), and residual RMS of the URDF (``urdf``); NaN if not measured or not known.
         doubts: reasons to doubt the model or the recording.
         outcomes: result of each requirement.
     """
@@ -71,9 +71,9 @@ def verify(options: VerifyOptions) -> Verification:
     required = [Requirement.parse(text) for text in texts(options.require)]
     file = EstimateFile.read(Path(options.model))
     relative = next((each for each in required if each.reference == "urdf"), None)
-    if relative and options.urdf is None and (own := beside(options.model)).is_file():
+    if relative and options.urdf is None and (path := beside(options.model)).is_file():
         raise InputError(
-            f"requirement '{relative.text}' compares with the URDF before, and {own} is the identified one; name the "
+            f"requirement '{relative.text}' compares with the URDF before, and {path} is the identified one; name the "
             "former with --urdf"
         )
     session, samples = read_to_judge(options, options.validate, model=options.model, cutoff=file.cutoff)
@@ -94,41 +94,41 @@ def read_to_judge(
     effects: Sequence[str] = (),
     cutoff: float | None = None,
 ) -> tuple[Session, Sequence[Samples]]:
-    """A robot's session, and all samples of recordings that a model is judged on.
+    """Return a session of the robot, and all samples of the recordings to test a model on.
 
     Args:
         options: which robot it is, and how the recordings are read.
         bags: the recordings.
         model: an estimate.json; None for the URDF alone.
-        effects: names of effects at every joint that the model has beside those of the estimate.
-        cutoff: low-pass [Hz] of the band that the model's floor is of, unless the options name another.
+        effects: names of effects that the model has at every joint in addition to those of the estimate.
+        cutoff: low-pass cutoff [Hz] that the floor of the model refers to, unless the options set another.
     """
     recorded = Bags(fitted=bag_paths(bags), hold_out=0.0, topics=topics(options))
     robot = description(options, recorded.fitted, model)
     parameters = configuration(options, model, effects=[*effects], candidates=[])
     if cutoff is not None and "filter.cutoff" not in parameters.given:
         parameters = parameters.with_values({"filter.cutoff": float(cutoff)})
-    own = efforts_of_command(options, parameters)
-    return robot.read(Session, own, lambda session: read_fitted(session, recorded, options.progress))
+    checked = efforts_of_command(options, parameters)
+    return robot.read(Session, checked, lambda session: read_fitted(session, recorded, options.progress))
 
 
 def doubts_of(session: Session) -> list[str]:
-    """Why a model or the recordings that it was judged on are not to be believed."""
+    """Return reasons not to trust a model or the recordings that it was tested on."""
     return [*filter(None, [session.loaded.doubt]), *recording_verdict(session.review.findings).reasons]
 
 
 def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) -> dict[str, Values]:
-    """The numbers of every quantity that may be required."""
-    nominal, found = session.model.nominal_parameters, session.known_parameters
+    """Return the values of every quantity that a requirement can name."""
+    nominal, parameters = session.model.nominal_parameters, session.known_parameters
     channels = [channel.name for channel in session.model.channels]
     floors = file.floor or file.rms.train
-    left = rms_of_model(session, samples), session.rms(samples, nominal)
-    errors = zip(channels, *(each.tolist() for each in left), strict=True)
+    residual_rms = rms_of_model(session, samples), session.rms(samples, nominal)
+    errors = zip(channels, *(each.tolist() for each in residual_rms), strict=True)
     bodies = session.model.body_names
-    masses = [[*each, sum(each)] for each in (_masses(found, bodies), _masses(nominal, bodies))]
+    masses = [[*each, sum(each)] for each in (_masses(parameters, bodies), _masses(nominal, bodies))]
     return {
-        "rms": {name: {"value": own, "floor": floors.get(name, math.nan), "urdf": urdf} for name, own, urdf in errors},
-        "mass": {name: {"value": own, "urdf": urdf} for name, own, urdf in zip([*bodies, TOTAL], *masses, strict=True)},
+        "rms": {name: {"value": fit, "floor": floors.get(name, math.nan), "urdf": urdf} for name, fit, urdf in errors},
+        "mass": {name: {"value": fit, "urdf": urdf} for name, fit, urdf in zip([*bodies, TOTAL], *masses, strict=True)},
         "from_data": {link.name: {"value": link.from_data} for link in file.links},
     }
 
@@ -140,7 +140,7 @@ def _masses(parameters: FloatArray, bodies: Sequence[str]) -> list[float]:
 
 TOTAL = "total"
 QUANTITIES = {"rms": ("floor", "urdf"), "mass": ("urdf",), "from_data": ()}
-"""The references that a bound of each quantity may be a multiple of."""
+"""References that the bound of a quantity may be a multiple of, by quantity."""
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
@@ -157,13 +157,13 @@ _LONGEST = 500  # characters
 _HOW = "expected [PLACE.]QUANTITY<BOUND, e.g. 'rms<2*floor', 'joint2.rms<1.5', 'total.mass<1.1*urdf', 'from_data>=0.1'"
 
 Values = Mapping[str, Mapping[str, float]]
-"""Numbers by place, and there by ``value`` and the references."""
+"""Numbers by place; within a place, by ``value`` and the names of the references."""
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """That a ``quantity`` at a ``place`` (empty: at all) compares so with ``factor`` times the ``reference``, which is
-    empty for a plain number. ``text`` is what the user wrote."""
+    """Requirement that a ``quantity`` at a ``place`` (empty: at all) satisfies ``comparison`` with ``factor`` times the
+    ``reference``, which is empty for a plain number. ``text`` is what the user wrote."""
 
     text: str
     place: str
@@ -177,7 +177,7 @@ class Requirement:
         """Parse a requirement.
 
         Raises:
-            InputError: it has another form; the message says what is possible.
+            InputError: it has another form; the message gives the valid ones.
         """
         match = _FORM.fullmatch(text) if len(text) <= _LONGEST else None
         if match is None:
@@ -194,7 +194,7 @@ class Requirement:
         return Requirement(text, match["place"] or "", quantity, match["comparison"], factor, reference)
 
     def checked(self, values: Mapping[str, Values]) -> list[Outcome]:
-        """Compare.
+        """Check the requirement at each place that it applies to.
 
         Args:
             values: by quantity, the numbers at every place.
@@ -208,25 +208,25 @@ class Requirement:
         chosen = [self.place] if self.place else [place for place in places if place != TOTAL]
         outcomes = [self._outcome(place, places[place]) for place in chosen]
         if all(outcome.passed is None for outcome in outcomes):
-            lacks = f" or the model says no {self.reference}" if self.reference else ""
-            raise InputError(f"requirement '{self.text}': nothing to judge, no {self.quantity} is measured{lacks}")
+            hint = f" or the model says no {self.reference}" if self.reference else ""
+            raise InputError(f"requirement '{self.text}': nothing to judge, no {self.quantity} is measured{hint}")
         return outcomes
 
     def _outcome(self, place: str, numbers: Mapping[str, float]) -> Outcome:
-        """Raises InputError if the bound of a place that the user names is not known."""
+        """Check one place. Raises InputError if the bound at a place that the user names is not known."""
         value, bound = numbers["value"], self.factor * (numbers[self.reference] if self.reference else 1.0)
         if self.place and math.isnan(bound):
             raise InputError(f"requirement '{self.text}': the model does not say the {self.reference} of '{place}'")
-        judged = bool(self.place) or not math.isnan(value + bound)
-        passed = _COMPARISONS[self.comparison](value, bound) if judged else None  # never what is not measured, NaN
-        said = "not known" if math.isnan(bound) else f"{self.comparison} {bound:.4g}"
-        return Outcome(self.text, f"{place}.{self.quantity}", value, said, passed)
+        comparable = bool(self.place) or not math.isnan(value + bound)
+        passed = _COMPARISONS[self.comparison](value, bound) if comparable else None  # no verdict on NaN: not measured
+        limit = "not known" if math.isnan(bound) else f"{self.comparison} {bound:.4g}"
+        return Outcome(self.text, f"{place}.{self.quantity}", value, limit, passed)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Whether what is required is so: the ``requirement``, ``what`` was compared, its ``value``, and with which
-    ``bound``. ``passed`` is None where a requirement of every place is not judged: not measured, or no reference."""
+    """Result of one ``requirement``: ``what`` was compared, its ``value``, and the ``bound`` with its comparison.
+    ``passed`` is None if a requirement for every place cannot be checked here: not measured, or no reference."""
 
     requirement: str
     what: str

@@ -1,4 +1,4 @@
-"""``geomid demo``, ``play`` and ``dashboard``: a node and what it hears."""
+"""``geomid demo``, ``play`` and ``dashboard``: commands for a running node and its topics."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def demo(out: Path, rate: float) -> None:
 
 
 def shared_file(relative: str) -> Path:
-    """A file or folder that the package ships, such as ``bags/arm7``."""
+    """Find a file or folder shipped with the package, such as ``bags/arm7``."""
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
     folders = [Path(geomid_ros.__file__).parents[1], *(Path(prefix) / "share/geomid_ros" for prefix in prefixes)]
     for folder in folders:
@@ -83,7 +83,7 @@ def shared_file(relative: str) -> Path:
 
 
 def _true_masses(session: Session, path: Path) -> dict[str, float]:
-    """The masses of the bodies [kg], of all links that each consists of."""
+    """True masses of the bodies [kg], each with its merged links."""
     links = {link["name"]: link["mass"] for link in json.loads(path.read_text(encoding="utf-8"))["links"]}
     bodies = zip(session.robot.body_names, session.robot.bodies, strict=True)
     return {name: sum(links.get(link, 0.0) for link in (name, *body.merged)) for name, body in bodies}
@@ -97,21 +97,21 @@ def _table(session: Session, masses: dict[str, float], truth: dict[str, float], 
         table.add_column(heading, justify="left" if heading == "link" else "right", min_width=10)
     nominal = session.model.nominal_inertias.reshape(-1, 10)[:, 0]
     for name, urdf_mass in zip(session.model.body_names, nominal, strict=True):
-        now = f"{masses[name]:.3f}" if name in masses else "..."
-        table.add_row(name, f"{urdf_mass:.3f}", now, f"{truth[name]:.3f}")
+        identified = f"{masses[name]:.3f}" if name in masses else "..."
+        table.add_row(name, f"{urdf_mass:.3f}", identified, f"{truth[name]:.3f}")
     return table
 
 
 def _conclude(console: Console, file: EstimateFile, truth: dict[str, float], difference: float, out: Path) -> None:
     links = file.link_estimates
     tool = max(links, key=lambda link: link.from_data)
-    untold = [link.name for link in links if "mass" in link.cannot_tell]
+    unidentified = [link.name for link in links if "mass" in link.cannot_tell]
     shares = [1.0 - file.rms.train[channel] / nominal for channel, nominal in file.rms.nominal.items()]
     console.print(
         f"\nIdentified from {file.rows.accepted} rows. The most certain body is {tool.name} with "
         f"{tool.mass:.4f} ± {tool.std_mass:.4f} kg (truth {truth[tool.name]:.4f}), "
         f"{100 * tool.from_data:.0f} % from data.\n"
-        f"Masses not individually identifiable: {', '.join(untold) or 'none'}; these stay near the URDF.\n"
+        f"Masses not individually identifiable: {', '.join(unidentified) or 'none'}; these stay near the URDF.\n"
         f"The estimate removes {100 * sum(shares) / len(shares):.0f} % of the URDF's RMS error (mean over channels); "
         f"all bodies are physically consistent.\n"
         f"The same bag identified offline gives the same masses within {difference:.0e} (relative).\n\n"
@@ -155,7 +155,7 @@ def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Pa
     count = 0
     with progress_bar() as progress:
         progress(f"playing {bag.name}", 0.0)
-        for count, total in published(bag, rate, wait, named, lambda said: click.echo(printable(said), err=True)):
+        for count, total in published(bag, rate, wait, named, lambda line: click.echo(printable(line), err=True)):
             progress(f"playing {bag.name}", count / total)
     click.echo(f"Published {count} messages of {bag}")
 
@@ -173,4 +173,4 @@ def dashboard(node: str, port: int | None) -> None:
     """
     with needing_ros("the dashboard"):
         from geomid_ros.ros.dashboard import run_dashboard
-    run_dashboard(node, port, lambda said: click.echo(printable(said)))
+    run_dashboard(node, port, lambda line: click.echo(printable(line)))

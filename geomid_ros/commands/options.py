@@ -1,4 +1,4 @@
-"""Options of commands: the types of what is typed, and options made of their declarations."""
+"""Options of commands: parameter types, and options built from dataclass declarations."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _NONE = "'none' for none"
 
 
 class Output(click.Path):
-    """Where results go: what cannot be written is told before any work is done.
+    """Output path; refuses an unwritable path before any work is done.
 
-    A folder, or with ``within`` what is made in its folder.
+    A folder, or with ``within`` a file or folder to be created in its parent.
     """
 
     def __init__(self, *, within: bool = False, **options: Any) -> None:
@@ -36,9 +36,9 @@ class Output(click.Path):
 
 
 class Names(click.ParamType):  # type: ignore[type-arg]  # older releases of click take none
-    """Names that are separated by commas; with ``or_none`` the word 'none' says that there are to be none.
+    """Names separated by commas; with ``or_none`` the word 'none' stands for an empty list.
 
-    An empty name is refused: it comes of a variable of the shell that is not set, and nobody can tell what was meant.
+    An empty name is refused: it comes from an unset shell variable, and the intention is unknown.
     """
 
     name = "names"
@@ -59,7 +59,7 @@ class Names(click.ParamType):  # type: ignore[type-arg]  # older releases of cli
 
 
 def numbers(_context: click.Context, option: click.Parameter, text: str | None) -> list[float]:
-    """Numbers that are separated by commas, none for no text. Raises InputError."""
+    """Parse numbers separated by commas; an empty list for no text. Raises InputError."""
     try:
         return [] if text is None else [float(part) for part in text.split(",")]
     except ValueError as error:
@@ -67,7 +67,7 @@ def numbers(_context: click.Context, option: click.Parameter, text: str | None) 
 
 
 def share(_context: click.Context, _option: click.Parameter, text: str | None) -> float:
-    """A share of ``5%`` or ``0.05``, 0 for no text."""
+    """Parse a fraction such as ``5%`` or ``0.05``; 0 for no text."""
     try:
         number = float((text or "0").removesuffix("%")) / (100.0 if (text or "").endswith("%") else 1.0)
     except ValueError:
@@ -78,7 +78,7 @@ def share(_context: click.Context, _option: click.Parameter, text: str | None) -
 
 
 def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:
-    """Folders by package name, of NAME=FOLDER."""
+    """Parse NAME=FOLDER into folders by package name."""
     packages = {}
     for text in texts:
         name, _, folder = text.partition("=")
@@ -90,11 +90,11 @@ def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[st
 
 OUT: dict[str, Any] = {"type": Output(file_okay=False), "show_default": True, "help": "Output folder."}
 UNTRIED_OUT = OUT | {"type": click.Path(path_type=Path, file_okay=False)}
-"""The same for commands that do not always write: they try it themselves."""
+"""Output folder of commands that do not always write: they check it themselves."""
 PATH = click.Path(path_type=Path)
 
 
-# How options of a type are given, where their declaration does not say it.
+# Command-line form of a type, unless the declaration overrides it.
 _KINDS: dict[str, dict[str, Any]] = {
     "PathLike | None": {"type": PATH},
     "Config | None": {"type": PATH},
@@ -112,47 +112,47 @@ _KINDS: dict[str, dict[str, Any]] = {
 
 
 def options_of(kind: type, *, without: Collection[str] = ()) -> Decorator:
-    """The options of a command that a class declares as fields with defaults and explains, but those ``without``."""
+    """Return a decorator that adds the fields of a class with defaults as options, except those in ``without``."""
     texts = explained(kind)
     offered = texts.keys() - {"progress", *without}
     declared = [each for each in fields(kind) if each.default is not MISSING and each.name in offered]
-    options = [_option(each, texts[each.name]) for each in reversed(declared)]  # help lists the last one first
+    options = [_option(each, texts[each.name]) for each in reversed(declared)]  # decorators apply in reverse order
     return lambda command: reduce(lambda inner, option: option(inner), options, command)
 
 
 def _option(field: Field[Any], text: str) -> Decorator:
-    """The option that a field declares."""
-    how = _KINDS.get(str(field.type), {}) | _declared(field.metadata)
-    flag = how.pop("flag", f"--{field.name.replace('_', '-')}")
+    """Return the option declared by a field."""
+    settings = _KINDS.get(str(field.type), {}) | _declared(field.metadata)
+    flag = settings.pop("flag", f"--{field.name.replace('_', '-')}")
     if field.default is True:
         flag = f"{flag}/--no-{field.name}"
     if field.default not in (None, ()):
-        how |= {"default": field.default, "show_default": True}
-    return click.option(flag, field.name, **how, help=_help(text, how))
+        settings |= {"default": field.default, "show_default": True}
+    return click.option(flag, field.name, **settings, help=_help(text, settings))
 
 
 def _declared(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """What a declaration says of an option's form."""
-    how = {name: metadata[name] for name in ("flag", "metavar") if name in metadata}
+    """Return the form of an option from its declaration."""
+    settings = {name: metadata[name] for name in ("flag", "metavar") if name in metadata}
     if "choices" in metadata:
-        how["type"] = click.Choice(metadata["choices"])
+        settings["type"] = click.Choice(metadata["choices"])
     if "min" in metadata:
         limits = {name: metadata[name] for name in ("min", "max", "min_open", "max_open") if name in metadata}
-        how["type"] = (click.IntRange if isinstance(metadata["min"], int) else click.FloatRange)(**limits)
+        settings["type"] = (click.IntRange if isinstance(metadata["min"], int) else click.FloatRange)(**limits)
     if "or_none" in metadata:
-        how["type"] = Names(or_none=True)
-    return how
+        settings["type"] = Names(or_none=True)
+    return settings
 
 
-def _help(text: str, how: Mapping[str, Any]) -> str:
-    """The sentence of a declaration with how several are given, and then what holds without the option."""
-    sentence, _, unset = text.partition(" [default: ")
+def _help(text: str, settings: Mapping[str, Any]) -> str:
+    """Return the help of an option: its sentence, if it may be repeated, and its default."""
+    sentence, _, default = text.partition(" [default: ")
     sentence = sentence[0].upper() + sentence[1:].removesuffix(".")
-    names = how.get("type")
+    names = settings.get("type")
     if isinstance(names, Names):
         sentence += f", separated by commas{f'; {_NONE}' if names.or_none else ''}"
-    repeated = "; may be repeated" if how.get("multiple") else ""
-    return f"{sentence}{repeated}.{f'  [default: {unset}' if unset else ''}"
+    repeated = "; may be repeated" if settings.get("multiple") else ""
+    return f"{sentence}{repeated}.{f'  [default: {default}' if default else ''}"
 
 
 report_option = click.option(

@@ -1,4 +1,4 @@
-"""``geomid prior``: inertials for a URDF from its shapes and the robot's weight."""
+"""``geomid prior``: inertials for a URDF from its shapes and the robot's total mass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from geomid_ros.model.shape_prior import LinkPrior, ShapePrior, Solid
     from geomid_ros.model.urdf_tree import UrdfTree
 
-# Of machines: thin covers, and more than solid steel. Outside, it is more likely that a mesh is in other units.
+# Densities of machines, from thin covers to more than solid steel. Beyond them, the units of a mesh are suspect.
 _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
 
 
@@ -82,7 +82,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
 
 
 def _solids(reader: ShapeReader, links: dict[str, Element]) -> dict[str, Solid]:
-    """The shapes of these links, of those that have any."""
+    """Read the shapes of the links that have any."""
     solids = {}
     with progress_bar() as progress:
         for index, (name, link) in enumerate(links.items()):
@@ -93,7 +93,7 @@ def _solids(reader: ShapeReader, links: dict[str, Element]) -> dict[str, Solid]:
 
 
 def _warnings(result: ShapePrior, tree: UrdfTree) -> Iterator[str]:
-    """What a user should know before the result is used."""
+    """Yield warnings about the result."""
     from geomid_ros.model.shape_prior import IMPOSSIBLE, massless_links
 
     if not _LIGHTEST <= result.density <= _HEAVIEST:
@@ -116,7 +116,7 @@ def _warnings(result: ShapePrior, tree: UrdfTree) -> Iterator[str]:
 
 
 def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:
-    """The links in the robot's zero pose."""
+    """Draw the links in the zero pose of the robot."""
     import numpy as np
 
     from geomid_ros.model.samples import samples_of
@@ -128,7 +128,7 @@ def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:
 
 
 def _show(prior: ShapePrior, kept: Sequence[str]) -> None:
-    """Print the links of a prior that was made from shapes, before and after."""
+    """Print the links of a prior made from shapes, before and after."""
     from geomid_ros.model import shapes
 
     table = plain_table(

@@ -1,4 +1,4 @@
-"""What was found in recordings, as tables: an identification, a gap, a fleet."""
+"""Tables of results from recordings: an identification, a gap, a fleet."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _MOST_REASONS = 5
 
 
 def _print_messages(console: Console, topics: Mapping[str, Account]) -> None:
-    """Print of each topic how many messages were used, and why others were not."""
+    """Print for each topic how many messages were used, and why others were not."""
     for topic, account in topics.items():
         refused = account.rejected + account.dropped
         reasons = "".join(f"; {count} {reason}" for reason, count in refused.most_common(_MOST_REASONS))
@@ -50,7 +50,7 @@ def _print_messages(console: Console, topics: Mapping[str, Account]) -> None:
 
 
 def show_identification(found: geomid_ros.Identification) -> None:
-    """Print links, effects and how well each channel is predicted, as estimate.json has them."""
+    """Print links, effects and the prediction error of each channel, as in estimate.json."""
     console, file = results_console(), EstimateFile.of(found.document, "estimate.json")
     links = file.link_estimates
     state = "converged" if file.converged else f"NOT converged ({file.reason})"
@@ -66,8 +66,8 @@ def show_identification(found: geomid_ros.Identification) -> None:
     of_joints = _at_every_joint(file.effect_estimates)
     if of_joints:
         console.print(_joint_effects_table(of_joints))
-    said = {(effect.name, effect.joint) for effect in of_joints}
-    others = [e for e in file.known_effects if (e.effect, e.joint) not in said or not is_coefficient(e)]
+    listed = {(effect.name, effect.joint) for effect in of_joints}
+    others = [e for e in file.known_effects if (e.effect, e.joint) not in listed or not is_coefficient(e)]
     if others:
         console.print(_other_effects_table(others))
     console.print(_errors_table(file))
@@ -86,7 +86,7 @@ def _tracking(tracking: Tracking, name: str) -> str:
 
 
 def _links_table(file: EstimateFile, links: Sequence[LinkEstimate]) -> Table:
-    """Mass, centre of mass, their standard deviations and where they came from."""
+    """Table of mass, centre of mass, their standard deviations and their source: data or prior."""
     table = plain_table("Links")
     table.add_column("\nlink", overflow="fold", min_width=14)
     headings = ("mass [kg]\nURDF", "\nidentified", "centre of\nmass [m]", "from\ndata", "dist. to\nprior")
@@ -97,25 +97,25 @@ def _links_table(file: EstimateFile, links: Sequence[LinkEstimate]) -> Table:
         masses = f"{file.urdf_masses[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
         com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
         shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
-        untold = [name for name in QUANTITIES if name not in link.identified]
-        table.add_row(names, *masses, com, *shares, result_pages.cannot_tell(untold))
+        unidentified = [name for name in QUANTITIES if name not in link.identified]
+        table.add_row(names, *masses, com, *shares, result_pages.cannot_tell(unidentified))
     return table
 
 
 def _known_table(weighed: Sequence[WeighedEstimate]) -> Table:
     table = plain_table("Weighed masses", ["what"], ["weighed [kg]", "identified [kg]", "difference [std weighed]"])
-    for known in weighed:
+    for body in weighed:
         table.add_row(
-            known.name,
-            f"{known.given:.3f} ± {known.given_std:.3f}",
-            f"{known.mass:.3f} ± {known.std:.3f}",
-            f"{(known.mass - known.given) / known.given_std:+.1f}",
+            body.name,
+            f"{body.given:.3f} ± {body.given_std:.3f}",
+            f"{body.mass:.3f} ± {body.std:.3f}",
+            f"{(body.mass - body.given) / body.given_std:+.1f}",
         )
     return table
 
 
 def _at_every_joint(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
-    """The effects of one number that most joints have, for a table with a row for each joint."""
+    """Select the effects with one coefficient that most joints have, for a table with a row for each joint."""
     kinds = {name: EFFECTS[name] for name in {effect.name for effect in effects}}
     of_joints = [e for e in effects if kinds[e.name].place == "joint" and kinds[e.name].is_one_number()]
     joints, counts = {effect.joint for effect in of_joints}, Counter(effect.name for effect in of_joints)
@@ -123,7 +123,7 @@ def _at_every_joint(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
 
 
 def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
-    """Those of several parameters, those at other places, and those that hold as the model says them."""
+    """Table of effects with several parameters, at other places, or fixed by the model."""
     table = plain_table("Other effects", ["effect", "where", "parameter"], ["value"])
     for effect in effects:
         names = lines(name.replace("_", " ") for name in effect.parameters)
@@ -133,13 +133,13 @@ def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
 
 
 def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
-    """An empty cell where a joint does not have an effect that others have, or has it with the usual constant."""
+    """Table of joint effects. A cell is empty if the joint has no such effect, or has it with the default constant."""
     joints = list(dict.fromkeys(effect.joint for effect in effects))
     columns: dict[str, dict[str, str]] = {}
     for effect in effects:
-        (_, own), *constants = effect.parameters.items()
+        (_, size), *constants = effect.parameters.items()
         first, _, second = effect.name.partition("_")
-        columns.setdefault(f"{first}\n{second}\n[{own.unit}]", {})[effect.joint] = f"{own.value:.3g} ± {own.std:.1g}"
+        columns.setdefault(f"{first}\n{second}\n[{size.unit}]", {})[effect.joint] = f"{size.value:.3g} ± {size.std:.1g}"
         for name, constant in constants:
             columns.setdefault(f"{first}\n{name}\n[{constant.unit}]", {})[effect.joint] = f"{constant.value:g}"
     table = plain_table("Joint effects", ["joint"], list(columns))
@@ -149,7 +149,7 @@ def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
 
 
 def _errors_table(file: EstimateFile) -> Table:
-    """RMS per channel of the URDF, of the estimate, and of the written file alone and with the offsets beside it."""
+    """Table of residual RMS per channel: URDF, estimate, written file alone, and file with sensor offsets."""
     headings = ["unit", "URDF", "identified", "explained", f"{file.description}\nalone", "with sensor\noffsets"]
     table = plain_table(f"RMS of the residual on {file.judged_on}", ["channel"], headings)
     for row in file.channels:
@@ -164,7 +164,7 @@ _AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
 
 
 def show_gap(found: geomid_ros.Gap) -> None:
-    """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
+    """Print the verdict, the findings, the gap of every channel, candidates, and what to record next."""
     console = results_console()
     result, review = found.result, found.session.review
     print_verdict(console, recording_verdict(review.findings), review.warnings(), found.session.notes)
@@ -186,18 +186,18 @@ def show_gap(found: geomid_ros.Gap) -> None:
     record = gap_words.to_record(result)
     if record:
         say(console, "Next recording", "")
-        for what in record:
-            say(console, "", f"- {what}")
+        for motion in record:
+            say(console, "", f"- {motion}")
 
 
-def _print_file(console: Console, judged: JudgedFile | None) -> None:
-    """Print how well the written description predicts, and where it does worse than the given one."""
-    if judged is None:
+def _print_file(console: Console, file: JudgedFile | None) -> None:
+    """Print the prediction error of the written description, and the channels where the given one is better."""
+    if file is None:
         return
-    say(console, "", judged.sentence)
-    for sentence in judged.worse:
+    say(console, "", file.sentence)
+    for sentence in file.worse:
         say(console, "DOUBTFUL", f"  {sentence}")
-    for sentence in judged.limited:
+    for sentence in file.limited:
         say(console, "Warning", f"  {sentence}")
 
 
@@ -218,7 +218,7 @@ def _findings_table(result: GapResult) -> Table:
 
 
 def _sentences(result: GapResult) -> Iterator[str]:
-    """One of each finding, with its rivals where there are any to choose from; of many findings only of these."""
+    """Yield a sentence for each finding, with rivals if it is ambiguous; of many findings only the ambiguous ones."""
     few = len(result.findings) <= gap_words.MOST_LISTED
     for finding in result.findings:
         rivals = [gap_words.compared(rival) for rival in finding.rivals[: gap_words.MOST_LISTED]]
@@ -244,7 +244,7 @@ def _gaps_table(result: GapResult) -> Table:
 
 
 def _bar(before: float, inertias: float, after: float, end: float) -> str:
-    """Three bars in one line, the shortest in front."""
+    """Draw three bars in one line, the shortest in front."""
     bars = ((after, _AFTER), (inertias, _INERTIAS), (before, _BEFORE))
     lengths = sorted((_length(value, end), mark) for value, mark in bars)
     return "".join(mark * (length - shorter) for (shorter, _), (length, mark) in pairwise([(0, ""), *lengths]))
@@ -255,8 +255,8 @@ def _length(value: float, end: float) -> int:
 
 
 def _simulated_table(simulation: Resimulated) -> Table:
-    how = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
-    table = plain_table(f"Resimulation {how}\n(error in units of the noise)", ["channel"], ["before", "after"])
+    mode = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
+    table = plain_table(f"Resimulation {mode}\n(error in units of the noise)", ["channel"], ["before", "after"])
     for name, before in simulation.before.items():
         table.add_row(name, gap_words.ratio(before), gap_words.ratio(simulation.after[name]))
     return table
@@ -271,7 +271,7 @@ def _candidates_table(result: GapResult) -> Table:
 
 
 def show_fleet(found: geomid_ros.FleetIdentification) -> None:
-    """Print a table of the robots, and the bags that were bad."""
+    """Print a table of the robots, and the bad and doubtful bags."""
     console = results_console()
     table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "mass [kg]", "distance"])
     for heading in ("verdict", "differs from the others", "changed"):
@@ -287,7 +287,7 @@ def show_fleet(found: geomid_ros.FleetIdentification) -> None:
         console,
         {
             "Bad bag": [why if bag in why else f"{bag}: {why}" for bag, why in found.bad],
-            "Doubtful bag": [f"{bag}: {what}" for bag, what in found.doubtful],
+            "Doubtful bag": [f"{bag}: {reason}" for bag, reason in found.doubtful],
         },
     )
     console.print(f"\nWritten: {', '.join(map(str, found.files))}")

@@ -1,4 +1,4 @@
-"""``geomid identify``, ``gap`` and ``fleet``: what is found in rosbags."""
+"""``geomid identify``, ``gap`` and ``fleet``: commands on rosbags."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     from geomid_ros.commands.terminal import print_written, progress_bar
 
     with progress_bar() as progress:
-        found = geomid_ros.identify(bags, progress=progress, **options)
-        files = found.save(out, report=report, progress=progress, command=shlex.join(["geomid", *sys.argv[1:]]))
+        result = geomid_ros.identify(bags, progress=progress, **options)
+        files = result.save(out, report=report, progress=progress, command=shlex.join(["geomid", *sys.argv[1:]]))
     if as_json:
         click.echo(files[0].read_text(encoding="utf-8"), nl=False)
     else:
-        show_identification(found)
+        show_identification(result)
         print_written(files, out, report=report)
-        if found.not_written:
-            click.echo(one_line(found.not_written))
-    sys.exit(found.verdict.status)
+        if result.not_written:
+            click.echo(one_line(result.not_written))
+    sys.exit(result.verdict.status)
 
 
 @click.command()
@@ -67,17 +67,17 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     from geomid_ros.files.models.gap_file import is_open
 
     with progress_bar() as progress:
-        found = geomid_ros.find_gap(bags, progress=progress, **options)
-        files = found.save(out, report=report, progress=progress)
+        result = geomid_ros.find_gap(bags, progress=progress, **options)
+        files = result.save(out, report=report, progress=progress)
     if as_json:
-        click.echo(json.dumps(found.document, indent=2))
+        click.echo(json.dumps(result.document, indent=2))
     else:
-        show_gap(found)
+        show_gap(result)
         print_written(files, out, report=report)
-        if is_open(found.result):
+        if is_open(result.result):
             arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--settle", out / "gap.json")
             click.echo(f"To discriminate between the rivals: geomid excite {shlex.join(map(str, arguments))}")
-    sys.exit(found.status)
+    sys.exit(result.status)
 
 
 @click.command()
@@ -97,6 +97,6 @@ def fleet(bags: str, out: Path, **options: Any) -> None:
     from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
-        found = geomid_ros.identify_fleet(bags, out=out, progress=progress, **options)
-    show_fleet(found)
-    sys.exit(found.status)
+        result = geomid_ros.identify_fleet(bags, out=out, progress=progress, **options)
+    show_fleet(result)
+    sys.exit(result.status)

@@ -1,6 +1,5 @@
-"""``geomid compare``, ``verify``, ``sample``, ``export``, ``feedforward`` and ``report``: what is done with results on
-disk; and ``payload``, from one and a recording.
-"""
+"""``geomid compare``, ``verify``, ``sample``, ``export``, ``feedforward`` and ``report``: commands on results on disk;
+and ``payload``, on a result and a recording."""
 
 from __future__ import annotations
 
@@ -45,37 +44,37 @@ def compare(out: Path, as_json: bool, **options: Any) -> None:
     """
 
     with progress_bar() as progress:
-        found = geomid_ros.compare(progress=progress, **options)
-    page = found.report(out / "compare.html")
+        comparison = geomid_ros.compare(progress=progress, **options)
+    page = comparison.report(out / "compare.html")
     if as_json:
-        click.echo(json.dumps(found.document, indent=2))
+        click.echo(json.dumps(comparison.document, indent=2))
     else:
-        _show_comparison(found)
+        _show_comparison(comparison)
         click.echo(f"\nWritten: {page}")
-    sys.exit(found.status)
+    sys.exit(comparison.status)
 
 
-def _show_comparison(found: geomid_ros.Comparison) -> None:
-    """Print whether the results differ, and a table of what differs and of the errors of both."""
+def _show_comparison(comparison: geomid_ros.Comparison) -> None:
+    """Print the verdict, a table of the differences, and the errors of both results."""
     from geomid_ros.report.result_pages import error, row, verdict
 
     console = results_console()
-    print_remarks(console, {"DOUBTFUL": found.doubts, "Note": found.notes})
-    for number, path in enumerate((found.first, found.second), 1):
+    print_remarks(console, {"DOUBTFUL": comparison.doubts, "Note": comparison.notes})
+    for number, path in enumerate((comparison.first, comparison.second), 1):
         say(console, f"{number}:", f" {path}")
-    say(console, "", verdict(found.compared))
+    say(console, "", verdict(comparison.compared))
     table = plain_table("", ["where", "parameter"], ["1", "2", "difference"])
-    for difference in found.differing:
+    for difference in comparison.differing:
         table.add_row(*row(difference))
     table.add_section()
-    for channel in found.errors:
+    for channel in comparison.errors:
         unit = f" [{channel.unit}]" if channel.unit else ""
         table.add_row(channel.name, f"RMS error{unit}", error(channel.first), error(channel.second), "")
     console.print(table)
     say(console, "±:", " the 95 % interval of a value, the joint 95 % interval of a difference")
-    if found.errors:
-        say(console, "RMS errors:", f" on {found.judged_on}")
-    for name in found.compared.not_compared:
+    if comparison.errors:
+        say(console, "RMS errors:", f" on {comparison.judged_on}")
+    for name in comparison.compared.not_compared:
         say(console, "Not compared:", f" {name}, identified together with other links in the second")
 
 
@@ -92,36 +91,36 @@ def verify(**options: Any) -> None:
     """
 
     with progress_bar() as progress:
-        found = geomid_ros.verify(progress=progress, **options)
-    _show_verification(found)
-    sys.exit(0 if found.passed else 1)
+        verification = geomid_ros.verify(progress=progress, **options)
+    _show_verification(verification)
+    sys.exit(0 if verification.passed else 1)
 
 
-def _show_verification(found: geomid_ros.Verification) -> None:
+def _show_verification(result: geomid_ros.Verification) -> None:
     """Print channels and requirements."""
     console = results_console()
-    warnings = [sentence for sentence in found.session.review.warnings() if sentence not in found.doubts]
-    print_remarks(console, {"DOUBTFUL": found.doubts, "Warning": warnings, "Note": found.session.notes})
-    console.print(_channels(found))
-    if found.outcomes:
-        console.print(_requirements(found))
-    judged = [outcome.passed for outcome in found.outcomes if outcome.passed is not None]
-    others = len(found.outcomes) - len(judged)
-    kept = f"{sum(judged)} of {len(judged)} requirements hold" + (f", {others} not judged" if others else "")
-    say(console, "PASSED:" if found.passed else "FAILED:", f" {kept}" + ("; doubtful" if found.doubts else ""))
+    warnings = [sentence for sentence in result.session.review.warnings() if sentence not in result.doubts]
+    print_remarks(console, {"DOUBTFUL": result.doubts, "Warning": warnings, "Note": result.session.notes})
+    console.print(_channels(result))
+    if result.outcomes:
+        console.print(_requirements(result))
+    checked = [outcome.passed for outcome in result.outcomes if outcome.passed is not None]
+    skipped = len(result.outcomes) - len(checked)
+    summary = f"{sum(checked)} of {len(checked)} requirements hold" + (f", {skipped} not judged" if skipped else "")
+    say(console, "PASSED:" if result.passed else "FAILED:", f" {summary}" + ("; doubtful" if result.doubts else ""))
 
 
-def _channels(found: geomid_ros.Verification) -> Table:
+def _channels(result: geomid_ros.Verification) -> Table:
     table = plain_table("RMS of the residual", ["channel"], ["unit", "URDF", "model", "floor"])
-    for channel in found.session.model.channels:
-        numbers = found.rms[channel.name]
+    for channel in result.session.model.channels:
+        numbers = result.rms[channel.name]
         table.add_row(channel.name, channel.unit, *(_number(numbers[key]) for key in ("urdf", "value", "floor")))
     return table
 
 
-def _requirements(found: geomid_ros.Verification) -> Table:
+def _requirements(verification: geomid_ros.Verification) -> Table:
     table = plain_table("Requirements", ["requirement", "of"], ["value", "bound", "result"])
-    for outcome in found.outcomes:
+    for outcome in verification.outcomes:
         result = {True: "passed", False: "FAILED", None: "not judged"}[outcome.passed]
         table.add_row(outcome.requirement, outcome.what, _number(outcome.value), outcome.bound, result)
     return table
@@ -147,19 +146,19 @@ def sample(out: Path, **options: Any) -> None:
     event terms of Isaac Lab), and torques.png, which compares the spread of joint torques with that of ranges of 20 %.
     """
 
-    found = geomid_ros.sample(**options)
-    for heading, sentence in (("Warning", found.drawn.model.doubt), ("Note", found.drawn.not_drawn)):
+    sampled = geomid_ros.sample(**options)
+    for heading, sentence in (("Warning", sampled.drawn.model.doubt), ("Note", sampled.drawn.not_drawn)):
         if sentence:
             click.echo(f"{heading}: {one_line(sentence)}", err=True)
     with progress_bar() as progress:
-        *robots, ranges, picture = found.save(out, progress=progress)
-    _show_spread(found)
+        *robots, ranges, picture = sampled.save(out, progress=progress)
+    _show_spread(sampled)
     files = f"{robots[0]} to {robots[-1].name}" if len(robots) > 1 else str(robots[0])
     click.echo(f"\nWritten: {files}, {ranges}, {picture}")
 
 
-def _show_spread(found: geomid_ros.SampledRobots) -> None:
-    """Print how much torques differ among drawn robots, and among those of ranges."""
+def _show_spread(sampled: geomid_ros.SampledRobots) -> None:
+    """Print the spread of torques among sampled robots, and among robots from uniform ranges."""
     from geomid_ros.exports.posterior_samples import RANGE
 
     table = plain_table(
@@ -167,7 +166,7 @@ def _show_spread(found: geomid_ros.SampledRobots) -> None:
         ["joint"],
         ["sampled robots", f"ranges of ±{100 * RANGE:.0f} %", "ratio"],
     )
-    spread = found.torques
+    spread = sampled.torques
     rows = zip(spread.joints, spread.units, spread.drawn, spread.ranges, strict=True)
     for name, unit, drawn, ranges in rows:
         table.add_row(name, f"{drawn:.3g} {unit}", f"{ranges:.3g} {unit}", f"{drawn / ranges:.2f}")
@@ -193,11 +192,11 @@ def export(**options: Any) -> None:
 
     Nothing is tested here: 'geomid identify --for' writes the same description and tests it on held-out data.
     """
-    found = geomid_ros.export(**options)
-    for heading, sentences in (("Warning", found.doubts), ("Note", found.notes)):
+    exported = geomid_ros.export(**options)
+    for heading, sentences in (("Warning", exported.doubts), ("Note", exported.notes)):
         for sentence in sentences:
             click.echo(f"{heading}: {one_line(sentence)}", err=True)
-    click.echo(found.text, nl=False)
+    click.echo(exported.text, nl=False)
 
 
 @click.command()
@@ -234,21 +233,21 @@ def feedforward(out: Path, **options: Any) -> None:
     Refuses a trajectory that takes more effort than the URDF allows, and a model whose verdict is not 'usable'.
     """
 
-    found = geomid_ros.feedforward(**options)
-    found.save(out)
-    _show_efforts(found)
+    result = geomid_ros.feedforward(**options)
+    result.save(out)
+    _show_efforts(result)
     click.echo(f"\nWritten: {out}")
 
 
-def _show_efforts(found: geomid_ros.Feedforward) -> None:
+def _show_efforts(result: geomid_ros.Feedforward) -> None:
     """Print notes, and the efforts of each joint of a trajectory."""
-    console, trajectory = results_console(), found.trajectory
-    print_remarks(console, {"Note": found.notes})
-    console.print(f"{trajectory.duration:g} s, {len(trajectory.times)} points ({found.given} were given)")
+    console, trajectory = results_console(), result.trajectory
+    print_remarks(console, {"Note": result.notes})
+    console.print(f"{trajectory.duration:g} s, {len(trajectory.times)} points ({result.given} were given)")
     headings = ["RMS", "largest", "limit", "interpolation error"]
     table = plain_table("Efforts of the motors [N m, N]", ["joint"], headings)
     rms = np.sqrt(np.mean(trajectory.efforts**2, axis=0))
-    for joint, *numbers in zip(trajectory.joints, rms, found.largest, found.limits, found.errors, strict=True):
+    for joint, *numbers in zip(trajectory.joints, rms, result.largest, result.limits, result.errors, strict=True):
         table.add_row(joint, *(f"{number:.4g}" if np.isfinite(number) else "-" for number in numbers))
     console.print(table)
 
@@ -268,28 +267,28 @@ def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **
     """
 
     with progress_bar() as progress:
-        found = geomid_ros.weigh_payload(empty, loaded, progress=progress, **options)
+        result = geomid_ros.weigh_payload(empty, loaded, progress=progress, **options)
     if as_json:
-        click.echo(json.dumps(found.document, indent=2))
+        click.echo(json.dumps(result.document, indent=2))
     else:
-        _show_payload(found, controller)
-    sys.exit(found.weighed.verdict.status)
+        _show_payload(result, controller)
+    sys.exit(result.weighed.verdict.status)
 
 
-def _show_payload(found: geomid_ros.Payload, controller: str | None) -> None:
-    """Print the payload, first why it should not be used, and the commands that set it."""
+def _show_payload(result: geomid_ros.Payload, controller: str | None) -> None:
+    """Print the payload, preceded by reasons against using it, and the commands that set it."""
     from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UNITS
 
     console = results_console()
-    print_verdict(console, found.weighed.verdict, found.weighed.warnings, found.weighed.notes)
-    console.print(found.sentence)
-    table = plain_table(f"Payload in the axes of '{found.frame}'", ["quantity"], ["value", "std"])
+    print_verdict(console, result.weighed.verdict, result.weighed.warnings, result.weighed.notes)
+    console.print(result.sentence)
+    table = plain_table(f"Payload in the axes of '{result.frame}'", ["quantity"], ["value", "std"])
     table.add_column("unit")
     table.add_column("identified")
-    rows = zip(QUANTITIES, found.inertial.quantities, found.inertial.std, UNITS, strict=True)
+    rows = zip(QUANTITIES, result.inertial.quantities, result.inertial.std, UNITS, strict=True)
     for name, value, std, unit in rows:
-        known = "no" if name in found.weighed.cannot_tell else "yes"
-        table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, known)
+        identified = "no" if name in result.weighed.cannot_tell else "yes"
+        table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, identified)
     console.print(table)
     if controller:
-        click.echo(found.commands(controller), nl=False)
+        click.echo(result.commands(controller), nl=False)

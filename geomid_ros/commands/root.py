@@ -1,4 +1,4 @@
-"""The command group: what every command has in common."""
+"""Command group ``geomid``: behaviour common to all commands."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ COMMANDS = {
     "simulate": "Record a rosbag of a simulated robot.",
     "verify": "Check that a model predicts a recording.",
 }
-"""The first sentence of each command's help, by its name."""
-_HOMES = {  # modules of commands that have none of their own name
+"""First sentence of each command's help, by its name."""
+_HOMES = {  # module of a command, if its name differs
     **dict.fromkeys(("compare", "export", "feedforward", "payload", "report", "sample", "verify"), "results"),
     **dict.fromkeys(("dashboard", "demo", "play"), "live"),
     **dict.fromkeys(("fleet", "gap", "identify"), "recordings"),
@@ -46,13 +46,13 @@ _HOMES = {  # modules of commands that have none of their own name
 
 
 class _Failure(click.ClickException):
-    """An error of ours on its way to the user: one message, exit status 2."""
+    """Error of this package shown to the user: one message, exit status 2."""
 
     exit_code = 2
 
 
 class _Group(click.Group):
-    """Loads a command only when it is asked for, as that loads all that it needs."""
+    """Group that loads a command on first use, because its imports are slow."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
@@ -92,7 +92,7 @@ def main() -> None:
     """Entry point of ``geomid``."""
     try:
         root()
-    except Exception as error:  # libraries that find no room have errors of their own
+    except Exception as error:  # libraries raise various errors when memory runs out
         missing = missing_library(error) if isinstance(error, ImportError | OSError) else ""
         sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing
         if not sentence:

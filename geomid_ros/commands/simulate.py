@@ -1,4 +1,4 @@
-"""``geomid simulate``: a rosbag of a MuJoCo robot whose truth is known, with effects hidden in it."""
+"""``geomid simulate``: a rosbag of a simulated robot in MuJoCo with known parameters and hidden effects."""
 
 from __future__ import annotations
 
@@ -77,8 +77,8 @@ def simulate(
     if feet or imu:
         context = click.get_current_context()
         given = {name: value for name, value in context.params.items() if name not in ("out", "feet", "imu")}
-        said = {name: value for name, value in given.items() if context.get_parameter_source(name) is _SAID}
-        click.echo(_walked(out, feet or [], imu or "", said))
+        explicit = {name: value for name, value in given.items() if context.get_parameter_source(name) is _SAID}
+        click.echo(_walked(out, feet or [], imu or "", explicit))
         return
     frame = wrench_frame or (WRIST_FRAME if wrench else None)
     chosen = SimulationOptions(hide=_requests(hide), wrench_frame=frame, **options)
@@ -88,7 +88,7 @@ def simulate(
 
 
 def _walked(out: Path, feet: list[str], imu: str, options: dict[str, Any]) -> str:
-    """Record a robot with feet. Returns what was written."""
+    """Record a robot with feet, and return a message with the written files."""
     from geomid_ros.simulation.walking import WalkOptions, parse_feet, simulate_walk
 
     if not (feet and imu and "robot" in options):
@@ -101,13 +101,13 @@ def _walked(out: Path, feet: list[str], imu: str, options: dict[str, Any]) -> st
 
 
 def _requests(texts: tuple[str, ...]) -> tuple[Hidden, ...] | None:
-    """None when nothing was said about effects; nothing to hide for ``nothing``."""
+    """Parse the effects to hide; None if no effect is given, empty for ``nothing``."""
     return tuple(parse_hidden(text) for text in texts if text != NOTHING) if texts else None
 
 
 def _written(result: SimulationResult, hidden: bool) -> str:
-    what = "the hidden effects" if hidden else "the true parameters"
-    lines = [f"Written: {result.bag} ({result.samples} messages per topic)", f"         {result.truth} ({what})"]
+    content = "the hidden effects" if hidden else "the true parameters"
+    lines = [f"Written: {result.bag} ({result.samples} messages per topic)", f"         {result.truth} ({content})"]
     if result.controller is not None:
         lines.append(f"         {result.controller} (the controller's gains)")
     return "\n".join(lines)

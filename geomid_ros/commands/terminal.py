@@ -1,4 +1,4 @@
-"""Progress and results in the terminal: texts from outside as they are, never as markup, and printable."""
+"""Progress and results in the terminal. External texts are printed literally, never as markup, and made printable."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WIDTH_OF_FILES = 110
 
 
 def results_console() -> Console:
-    """Standard output; in a file or a pipe, lines may be wider than the 80 columns that rich assumes there."""
+    """Console on standard output; lines in a file or pipe may be wider than the 80 columns that rich assumes there."""
     console = Console(markup=False, emoji=False, highlight=False)
     if not console.is_terminal:
         console.width = _WIDTH_OF_FILES
@@ -32,29 +32,29 @@ def results_console() -> Console:
 
 
 def print_verdict(console: Console, verdict: Verdict, warnings: Iterable[str], notes: Iterable[str] = ()) -> None:
-    """Print why a result cannot be used, what to be careful about, and what is worth knowing."""
+    """Print reasons against using a result, warnings, and notes."""
     print_remarks(console, {verdict.word.upper(): verdict.reasons, "Warning": warnings, "Note": notes})
 
 
 def print_remarks(console: Console, remarks: Mapping[str, Iterable[str]]) -> None:
-    """Print sentences, each behind its heading."""
+    """Print sentences, each after its heading."""
     for heading, sentences in remarks.items():
         for sentence in sentences:
             say(console, f"{heading}:", f" {sentence}")
 
 
 def say(console: Console, heading: str, text: str) -> None:
-    """Print a text behind its heading."""
+    """Print a text after its heading."""
     console.print(Text.assemble((heading, "bold"), one_line(text)))
 
 
 def lines(texts: Iterable[str]) -> Text:
-    """Texts one below the other, for a cell."""
+    """Stack texts as the lines of a table cell."""
     return Text("\n".join(map(one_line, texts)))
 
 
 def print_written(files: Sequence[Path], folder: Path, *, report: bool) -> None:
-    """Print which files were written, and that a page in their folder is older where none was asked for."""
+    """Print the written files; if no page was requested, name an older page in the folder."""
     click.echo(f"\nWritten: {', '.join(map(str, files))}")
     if not report and (old := folder / "report.html").exists():
         click.echo(f"Not of this run: {old}")
@@ -66,7 +66,7 @@ class _PlainTable(Table):
 
 
 def plain_table(title: str, texts: Sequence[str] = (), numbers: Sequence[str] = ()) -> Table:
-    """A table without lines between rows: columns of texts with these headings, then columns of numbers."""
+    """Create a table without lines between rows: text columns with these headings, then number columns."""
     table = _PlainTable(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in texts:
         table.add_column(heading, overflow="fold")
@@ -75,17 +75,17 @@ def plain_table(title: str, texts: Sequence[str] = (), numbers: Sequence[str] = 
 
 
 def number_columns(table: Table, headings: Sequence[str]) -> None:
-    """Add columns of numbers, which are broken rather than cut where there is no room."""
+    """Add columns of numbers, which are wrapped rather than truncated."""
     for heading in headings:
         table.add_column(heading, justify="right", overflow="fold")
 
 
 @contextmanager
 def progress_bar() -> Iterator[options.Progress]:
-    """A bar with the time left, which vanishes when done; nothing where standard error is no terminal.
+    """Show a bar with the remaining time, which vanishes when done; nothing if standard error is no terminal.
 
-    It yields a function to call with what is being done and the share of it, 0 to 1, that is done. As long as the share
-    is zero the bar only shows that something is going on.
+    Yields a function to call with the current stage and its completed fraction, 0 to 1. While the fraction is zero, the
+    bar only indicates activity.
     """
     console = Console(stderr=True)
     columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn()

@@ -1,1 +1,1 @@
-"""Results in the forms that other software takes."""
+"""Export of results to the formats of other software."""

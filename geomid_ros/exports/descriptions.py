@@ -1,4 +1,4 @@
-"""Descriptions of the whole robot for other software: who reads which, what of it, and what it cannot say.
+"""Robot descriptions for other software: the format, the elements that it reads, and effects that it cannot represent.
 
 =======  ===============================================================================================================
 mujoco   reads MJCF: damping, frictionloss, armature and springs of joints, elasticity and backlash as further joints
@@ -7,8 +7,8 @@ drake    reads damping of <dynamics>, not friction; rotor inertia at the actuato
          (multibody/parsing/detail_urdf_parser.cc)
 isaac    reads <dynamics> up to Isaac Sim 6.0 (isaacsim.asset.importer.urdf), no armature; actuators of Isaac Lab take
          armature and friction of joints (isaaclab.actuators, ActuatorBaseCfg)
-urdf     whatever reads a URDF
-moveit   reads a URDF, of whose inertials and <dynamics> its planners take nothing
+urdf     any program that reads a URDF
+moveit   reads a URDF; its planners ignore inertials and <dynamics>
 =======  ===============================================================================================================
 """
 
@@ -45,7 +45,7 @@ _ISAAC_NOTE = (
     "PxJointFrictionParams). Not tried here: there is no Isaac Sim on the machines that test this.",
 )
 _ISAAC_FILE = "isaac_joints.json"
-# The actuators' names of joint attributes, by MJCF's.
+# Names of MJCF joint attributes by those of Isaac Lab's actuators.
 _ISAAC_JOINT = {
     "armature": "armature",
     "friction": "frictionloss",
@@ -59,12 +59,11 @@ _MUJOCO_NOTE = (
     "Shapes of the robot do not collide with one another (conaffinity): a URDF does not say which may.",
 )
 
-_MOST_MISSING = 3  # of which each has its sentence
+_MOST_MISSING = 3  # sentences on missing shapes; the others are counted
 
 
 class Whole(NamedTuple):
-    """The text of a whole robot, sentences on what it lacks, and texts of files ``beside`` it that hold more, by
-    name."""
+    """Text of a whole robot, sentences on what it ``lacks``, and texts of additional files (``beside``) by name."""
 
     text: str
     lacks: list[str]
@@ -72,9 +71,9 @@ class Whole(NamedTuple):
 
 
 class RobotToDescribe(NamedTuple):
-    """A robot to describe: its ``urdf`` with the inertias, the ``path`` that its meshes are found from, also in the
-    ``packages``' folders, the ``effects`` beside, ``gravity (3,)`` where its base stands straight, and what ``read``s
-    it."""
+    """Robot to describe: its ``urdf`` with the inertias, the ``path`` and the folders of ``packages`` that its meshes
+    are found from, the ``effects`` in addition to inertias, ``gravity (3,)`` with the base upright, and the function
+    ``read`` that loads it."""
 
     urdf: str
     path: Path
@@ -85,28 +84,28 @@ class RobotToDescribe(NamedTuple):
 
 
 class DescriptionFormat(NamedTuple):
-    """A ``note`` for who uses the description, the form of one ``inertial``, and the ``whole`` robot."""
+    """Format of one reader: a ``note`` for its user, the text of one ``inertial``, and that of the ``whole`` robot."""
 
     note: tuple[str, ...]
     inertial: Callable[[Export], str]
     whole: Callable[[RobotToDescribe], Whole]
 
     def payload(self, export: Export) -> str:
-        """One inertia below a comment with its standard deviations."""
+        """Return one inertia below a comment with its standard deviations."""
         comments = formats.comments(export)
         return formats.xml_comment([*comments, f"  in the frame of link '{export.frame}'"]) + self.inertial(export)
 
 
 def described(model: Model, reader: str, links: Sequence[Export], packages: Mapping[str, Path]) -> Whole:
-    """The whole robot for a reader, and behind it a comment on its ``links`` and on what it lacks."""
-    text, own, beside = DESCRIPTIONS[reader].whole(as_described(model, packages))
-    lacks = [*not_said(model, ELEMENTS[reader]), *own]
+    """Return the whole robot for a reader, followed by a comment on its ``links`` and on what the text omits."""
+    text, omissions, beside = DESCRIPTIONS[reader].whole(as_described(model, packages))
+    lacks = [*not_said(model, ELEMENTS[reader]), *omissions]
     lines = [*DESCRIPTIONS[reader].note, *lacks, *(line for export in links for line in formats.comments(export))]
     return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks, beside)
 
 
 def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
-    """What these files cannot say of a model's effects, in a sentence, if there is anything."""
+    """Return a sentence on the effects of a model that these files cannot represent, if there are any."""
     names = unsaid(model.known, files)
     refit = [] if model.fitted else ["estimate.json is of an earlier version: identify again for a fit without these"]
     return [f"Not representable here: {'; '.join([*names, *refit])}"] if names else []
@@ -117,10 +116,10 @@ def _urdf(robot: RobotToDescribe) -> Whole:
 
 
 def _isaac(robot: RobotToDescribe) -> Whole:
-    said = joint_attributes(robot.effects, "joint")
+    attributes = joint_attributes(robot.effects, "joint")
     joints = {
-        joint: {isaac: float(f"{own[ours]:.6g}") for isaac, ours in _ISAAC_JOINT.items() if ours in own}
-        for joint, own in said.items()
+        joint: {isaac: float(f"{values[ours]:.6g}") for isaac, ours in _ISAAC_JOINT.items() if ours in values}
+        for joint, values in attributes.items()
     }
     text = with_effects(robot.urdf, robot.effects)
     return Whole(text, [f"{_ISAAC_FILE}: {json.dumps(joints)}"], {_ISAAC_FILE: json.dumps(joints, indent=2) + "\n"})
@@ -135,25 +134,25 @@ def _drake(robot: RobotToDescribe) -> Whole:
 
 
 def _mujoco(robot: RobotToDescribe) -> Whole:
-    # What only an MJCF needs takes as long to import as all else.
+    # These imports take as long as all others, and only an MJCF needs them.
     from geomid_ros.files.models.mjcf import mjcf, mjcf_shapes  # noqa: PLC0415
     from geomid_ros.files.shapes import MeshFinder  # noqa: PLC0415
 
     shapes = mjcf_shapes(robot.urdf, str(robot.path), MeshFinder(robot.path, robot.packages).find)
     missing = list(dict.fromkeys(shapes.missing))
-    more = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
+    summary = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
     text = mjcf(robot.read(), {}, robot.effects, gravity=robot.gravity, shapes=shapes)
-    return Whole(text, [*missing[:_MOST_MISSING], *more])
+    return Whole(text, [*missing[:_MOST_MISSING], *summary])
 
 
 def as_described(model: Model, packages: Mapping[str, Path] = MappingProxyType({})) -> RobotToDescribe:
-    """A model as descriptions are made of it."""
+    """Return the input for a description of a model."""
     read = partial(described_robot, model)
     return RobotToDescribe(model.urdf, model.urdf_path, model.effects, model.gravity, read, packages)
 
 
 def described_robot(model: Model) -> Robot:
-    """The robot with the bodies that were identified; joints between links that were identified as one are locked."""
+    """Return the robot with the identified bodies; joints between links identified as one body are locked."""
     merged = {link for body in model.bodies.values() for link in body.merged}
     return Robot(
         model.urdf,
@@ -172,4 +171,4 @@ DESCRIPTIONS = {
     "drake": DescriptionFormat(_DRAKE_NOTE, formats.urdf_inertial, _drake),
     "mujoco": DescriptionFormat(_MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
 }
-"""By the name of who is to read it: each of :data:`DESCRIBED_FOR`."""
+"""Formats by reader: one for each of :data:`DESCRIBED_FOR`."""

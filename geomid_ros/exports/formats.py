@@ -1,4 +1,4 @@
-"""Exports as text to paste: commands for the controllers of arms, and ``<inertial>`` elements of robot descriptions.
+"""Exports as text to paste: commands for robot controllers, and ``<inertial>`` elements of robot descriptions.
 
 =======  ===============================================================================================================
 ur       ``set_target_payload(m, cog, inertia)`` takes kg, the centre of gravity's offset from the tool mount in m, and
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from geomid_ros.exports.payload import Export
 
 DIGITS = 9
-"""Of numbers in a description."""
+"""Significant digits of numbers in a description."""
 _DIAGONAL_FIRST = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 _UR_LARGEST = 133.0  # [kg m^2]
@@ -50,15 +50,15 @@ _FRANKA_NOTE = (
 
 
 class PayloadFormat(NamedTuple):
-    """A controller's form of a payload: the ending of the ``flange``'s name in the manufacturer's URDF, and the
-    ``commands`` that set the payload there."""
+    """Payload format of a controller: the suffix of the ``flange``'s name in the manufacturer's URDF, and the
+    ``commands`` that set the payload."""
 
     flange: str
     commands: Callable[[Export], str]
 
 
 def ur_commands(export: Export) -> str:
-    """URScript and service calls. Raises InputError for an inertia that the controller refuses."""
+    """Return URScript and service calls. Raises InputError for an inertia that the controller refuses."""
     entries = _inertia_entries(export)
     if np.max(np.abs(list(entries.values()))) > _UR_LARGEST:
         raise InputError(
@@ -80,7 +80,7 @@ def ur_commands(export: Export) -> str:
 
 
 def franka_commands(export: Export) -> str:
-    """C++ and a service call."""
+    """Return C++ code and a service call."""
     mass, com = number(export.inertial.mass), _numbers(export.inertial.com)
     columns = _numbers(export.inertial.inertia.ravel(order="F"))
     request = f"{{mass: {mass}, center_of_mass: [{com}], load_inertia: [{columns}]}}"
@@ -92,13 +92,13 @@ def franka_commands(export: Export) -> str:
 
 
 CONTROLLERS = {"ur": PayloadFormat("tool0", ur_commands), "franka": PayloadFormat("link8", franka_commands)}
-"""Controllers that take a payload, by the name of who is to read it."""
+"""Formats of controllers that accept a payload, by the name of the reader."""
 JSON = "json"
-"""Who reads drawn robots in one file, as ``estimate.json`` has links and effects."""
+"""Reader of all sampled robots in one file, with links and effects as in ``estimate.json``."""
 
 
 def urdf_inertial(export: Export) -> str:
-    """For all that reads a URDF."""
+    """``<inertial>`` of a URDF."""
     entries = " ".join(f'{key}="{number(value)}"' for key, value in _inertia_entries(export).items())
     return (
         f'<inertial>\n  <origin xyz="{_numbers(export.inertial.com, " ")}" rpy="0 0 0"/>\n'
@@ -107,7 +107,7 @@ def urdf_inertial(export: Export) -> str:
 
 
 def sdf_inertial(export: Export) -> str:
-    """For Gazebo."""
+    """``<inertial>`` of an SDF, for Gazebo."""
     entries = "".join(f"<{key}>{number(value)}</{key}>" for key, value in _inertia_entries(export).items())
     return (
         f"<inertial>\n  <pose>{_numbers(export.inertial.com, ' ')} 0 0 0</pose>\n"
@@ -116,7 +116,7 @@ def sdf_inertial(export: Export) -> str:
 
 
 def mjcf_inertial(export: Export) -> str:
-    """For MuJoCo."""
+    """``<inertial>`` of an MJCF, for MuJoCo."""
     entries = _inertia_entries(export)
     full = _numbers((entries[key] for key in _DIAGONAL_FIRST), " ")
     position, mass = _numbers(export.inertial.com, " "), number(export.inertial.mass)
@@ -124,7 +124,7 @@ def mjcf_inertial(export: Export) -> str:
 
 
 def number(value: float) -> str:
-    """A number without an exponent: YAML 1.1 takes ``1e-05`` for text, and URScript does not document exponents."""
+    """Format a number without an exponent: YAML 1.1 reads ``1e-05`` as text, and URScript documents no exponents."""
     return str(np.format_float_positional(value, precision=DIGITS, fractional=False, trim="0"))
 
 
@@ -137,7 +137,7 @@ def _inertia_entries(export: Export) -> dict[str, float]:
 
 
 def comments(export: Export) -> list[str]:
-    """The title, each number with its standard deviation, and the notes, a line each."""
+    """Return the title, each number with its standard deviation, and the notes, one line each."""
     quantities, std = export.inertial.quantities, export.inertial.std
     return [
         export.title,
@@ -152,19 +152,19 @@ def comments(export: Export) -> list[str]:
 
 def _with_std(values: FloatArray, std: FloatArray) -> str:
     pairs = zip(values, std, strict=True)
-    return ", ".join(f"{value:.5g} ± {own:.2g}" if np.isfinite(own) else f"{value:.5g}" for value, own in pairs)
+    return ", ".join(f"{value:.5g} ± {sigma:.2g}" if np.isfinite(sigma) else f"{value:.5g}" for value, sigma in pairs)
 
 
 def _commented(lines: Sequence[str], mark: str) -> str:
-    """Lines as comments that begin with ``mark``."""
+    """Return the lines as comments that begin with ``mark``."""
     return "".join(f"{mark} {_printable(line)}\n" for line in lines)
 
 
 def xml_comment(lines: Sequence[str]) -> str:
-    """Lines as one comment of XML, in which two hyphens cannot stand side by side."""
+    """Return the lines as one XML comment, which must not contain two consecutive hyphens."""
     return "<!-- " + "\n     ".join(re.sub("-(?=-)", "- ", _printable(line)) for line in lines) + " -->\n"
 
 
 def _printable(line: str) -> str:
-    """A line that stays one: a name from a file must not end the comment that it stands in."""
+    """Replace unprintable characters: a line break in a name from a file must not end the comment."""
     return "".join(character if character.isprintable() else " " for character in line)

@@ -1,4 +1,4 @@
-"""A description as it is handed over: written, loaded again by the program that reads it, and judged as itself."""
+"""Handover of a robot description: written, loaded again by the program that reads it, and tested in that form."""
 
 from __future__ import annotations
 
@@ -41,29 +41,29 @@ _PAYLOAD = "/payload"
 
 @dataclass(frozen=True, eq=False)
 class ReadBack:
-    """What a ``reader`` takes from a description: ``inertias (10,)`` by body, and ``attributes`` of joints."""
+    """Values that a ``reader`` takes from a description: ``inertias (10,)`` by body, and ``attributes`` of joints."""
 
     reader: str
     inertias: Mapping[str, FloatArray]
     attributes: Attributes
 
     def parameters(self, model: MeasurementModel) -> FloatArray:
-        """The parameters ``(D,)`` of ``model`` with these inertias and no effects."""
+        """Parameters ``(D,)`` of ``model`` with these inertias and no effects."""
         bodies = [self.inertias[name] for name in model.body_names]
         return np.concatenate([*bodies, np.zeros(len(model.coefficients))])
 
     def efforts(self, joints: Sequence[str], samples: Samples) -> FloatArray:
-        """What the attributes add to the joints' efforts ``(N, joints)``."""
+        """Joint efforts due to the attributes ``(N, joints)``."""
         return samples.efforts_of(self._terms(joints))
 
     def _terms(self, joints: Sequence[str]) -> Iterator[tuple[MotionEffect, Place, float]]:
-        """The effects that the attributes mean, at their places, with their coefficients."""
-        taken = set[str]()
-        for cls in (each for each in EFFECTS.values() if issubclass(each, MotionEffect)):
+        """Yield the effects that the attributes stand for, with their places and coefficients."""
+        used = set[str]()
+        for cls in (effect for effect in EFFECTS.values() if issubclass(effect, MotionEffect)):
             places = {form.name: form.place_in(ELEMENTS[self.reader]) for form in cls.parameters}
             sizes = {places[form.name] for form in cls.variants()[0].own if places[form.name]}
-            if not taken & sizes:
-                taken |= sizes
+            if not used & sizes:
+                used |= sizes
                 for name in {name for name, at in self.attributes if at in sizes}:
                     values = {key: self.attributes.get((name, place), 0.0) for key, place in places.items()}
                     where = place_named(cls.place, name, joints)
@@ -78,40 +78,40 @@ def _parts(cls: type[Effect], values: Mapping[str, float], place: Place) -> Iter
 
 
 def read_urdf_back(robot: Robot, reader: str, beside: Mapping[str, str] = MappingProxyType({})) -> ReadBack:
-    """What a reader takes from the URDF that ``robot`` was read from, by pinocchio, and from the files ``beside``."""
+    """Return the values read from the URDF of ``robot``, by pinocchio, and from the files ``beside`` it."""
     attributes = {**robot.described_dynamics, **_of_gazebo(robot), **_of_drake(robot)}
     for text in beside.values():
-        armatures = {name: own.get("armature", 0.0) for name, own in json.loads(text).items()}
+        armatures = {name: values.get("armature", 0.0) for name, values in json.loads(text).items()}
         attributes |= {(name, "joint/armature"): armature for name, armature in armatures.items()}
     return ReadBack(reader, {body.name: body.parameters for body in robot.bodies}, attributes)
 
 
 def _of_gazebo(robot: Robot) -> Attributes:
-    """Numbers in elements of ``<gazebo reference=JOINT>``."""
+    """Return the numbers in elements of ``<gazebo reference=JOINT>``."""
     elements = read_xml(robot.urdf, robot.source).findall("gazebo")
-    named = [(element.get("reference", ""), child) for element in elements for child in element]
-    return {(joint, f"gazebo/{child.tag}"): value for joint, child in named if (value := _number(child.text))}
+    children = [(element.get("reference", ""), child) for element in elements for child in element]
+    return {(joint, f"gazebo/{child.tag}"): value for joint, child in children if (value := _number(child.text))}
 
 
 def _of_drake(robot: Robot) -> Attributes:
-    """Inertias of rotors, as they are behind their gears, at the actuators of transmissions."""
-    found: Attributes = {}
+    """Return rotor inertias, reflected through their gears, from the actuators of transmissions."""
+    rotor: Attributes = {}
     for transmission in read_xml(robot.urdf, robot.source).findall("transmission"):
         joint, actuator = transmission.find("joint"), transmission.find("actuator")
-        said = {_local_name(child): _number(child.get("value")) for child in ([] if actuator is None else actuator)}
-        ratio = said.pop("gear_ratio", 0.0) or 1.0
+        raws = {_local_name(child): _number(child.get("value")) for child in ([] if actuator is None else actuator)}
+        ratio = raws.pop("gear_ratio", 0.0) or 1.0
         if joint is not None:
-            found |= {(joint.get("name", ""), f"actuator/drake:{name}"): own * ratio**2 for name, own in said.items()}
-    return found
+            rotor |= {(joint.get("name", ""), f"actuator/drake:{name}"): raw * ratio**2 for name, raw in raws.items()}
+    return rotor
 
 
 def _local_name(element: Element) -> str:
-    """An element's name without its namespace."""
+    """Name of an element without its namespace."""
     return re.sub(r"^\{.*\}|^.*:", "", str(element.tag))
 
 
 def _number(text: str | None) -> float:
-    """A number, zero for what is none."""
+    """Parse a number; zero if it is none."""
     try:
         return float(text or 0.0)
     except ValueError:
@@ -119,10 +119,10 @@ def _number(text: str | None) -> float:
 
 
 def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
-    """The bodies and joints of an MJCF of ``robot``, as MuJoCo has compiled them.
+    """Return the bodies and joints of an MJCF of ``robot``, as compiled by MuJoCo.
 
     Raises:
-        InputError: MuJoCo is not installed, or does not take it.
+        InputError: MuJoCo is not installed, or rejects the file.
     """
     mujoco = load_mujoco()
     try:
@@ -149,12 +149,12 @@ def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
         for key in ("damping", "frictionloss", "armature"):
             place = pair, f"tendon/{key}"
             attributes[place] = attributes.get(place, 0.0) + float(np.ravel(getattr(model, f"tendon_{key}")[index])[0])
-    own = {"world_link": "world"}
-    return ReadBack("mujoco", {own.get(name, name): value for name, value in inertias.items()}, attributes)
+    urdf_names = {"world_link": "world"}
+    return ReadBack("mujoco", {urdf_names.get(name, name): value for name, value in inertias.items()}, attributes)
 
 
 def _parameters(mujoco: Any, model: Any, index: int) -> FloatArray:
-    """Parameters ``(10,)`` of a body about its frame's origin."""
+    """Parameters ``(10,)`` of a body about the origin of its frame."""
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.body_iquat[index])
     axes = rotation.reshape(3, 3)
@@ -167,12 +167,12 @@ MUJOCO = "mujoco"
 
 @dataclass(frozen=True, eq=False)
 class HandedOver:
-    """The file for a ``reader``.
+    """Description file for a ``reader``.
 
     Attributes:
         session: the robot, and the description that was given.
-        estimate: what was found.
-        reader: of :data:`~geomid_ros.files.models.written_model.ELEMENTS`.
+        estimate: the estimate to write.
+        reader: of :data:`~geomid_ros.files.models.readers.ELEMENTS`.
     """
 
     session: Session
@@ -181,12 +181,12 @@ class HandedOver:
 
     @property
     def name(self) -> str:
-        """The file's name."""
+        """Name of the file."""
         return file_name(self.reader)
 
     @cached_property
     def model(self) -> WrittenModel:
-        """What is written."""
+        """Model that is written."""
         return written_model(self.session.model, self.estimate, self.reader, self.session.loaded.effects)
 
     @cached_property
@@ -204,12 +204,12 @@ class HandedOver:
 
     @property
     def files(self) -> dict[str, str]:
-        """Texts of the files by name: the description, and what stands beside it."""
+        """Texts of the files by name: the description, and the files beside it."""
         return {self.name: self._whole.text, **self._whole.beside}
 
     def judged(self, batches: Sequence[Samples], found: Mapping[str, float]) -> JudgedFile:
-        """How well it predicts samples, of which all that was ``found`` leaves this RMS by channel. Raises InputError
-        where the program does not take the file."""
+        """Test the file on samples. ``found``: residual RMS of the full estimate on them, by channel. Raises InputError
+        if the program rejects the file."""
         effects = model_effects(self.estimate, self.session.loaded.effects)
         lacks = {
             channel.name: unsaid(
@@ -223,30 +223,30 @@ class HandedOver:
 
     @property
     def _errors_of_sensors(self) -> FloatArray:
-        """Parameters ``(D,)`` of the errors of sensors that stand beside the file."""
+        """Parameters ``(D,)`` of the sensor errors, which are in files beside the description."""
         model = self.session.model
         of_sensors = [effect for effect in self.model.effects if effect_class(effect.effect).of_sensor]
         return np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
 
 
 def file_name(reader: str) -> str:
-    """The name of the file for a reader."""
+    """Return the name of the file for a reader."""
     names = {URDF: "identified.urdf", "moveit": "identified.urdf", MUJOCO: "identified.xml"}
     return names.get(reader, f"identified.{reader}.urdf")
 
 
 @dataclass(frozen=True, eq=False)
 class JudgedFile:
-    """What a file leaves of samples, RMS by channel [N m, N], NaN where nothing is measured.
+    """Residual RMS of a file on samples by channel [N m, N], NaN where nothing is measured.
 
     Attributes:
         name: the file.
-        program: that loaded it.
+        program: the program that loaded it.
         alone: of the file by itself.
-        corrected: of the file, with the errors of sensors that stand beside it.
-        given: of the description that it is from.
-        found: of all that was found, also what the file cannot say.
-        lacks: what the estimate has there and the file cannot say, in words; not of channels where that is not known.
+        corrected: of the file, with the sensor errors from the files beside it.
+        given: of the given description.
+        found: of the full estimate, including effects that the file cannot represent.
+        lacks: effects of the estimate that the file cannot represent, in words; not of channels where this is unknown.
     """
 
     name: str
@@ -259,39 +259,39 @@ class JudgedFile:
 
     @property
     def sentence(self) -> str:
-        """How well it predicts beside the description that it is from, in sums over the channels."""
-        own, given = (float(np.nansum(list(kind.values()))) for kind in (self.alone, self.given))
-        return f"RMS of the residual, summed over the channels: {self.name} {own:.3g}, given description {given:.3g}"
+        """Residual RMS of the file and of the given description, each summed over the channels."""
+        rms, given = (float(np.nansum(list(kind.values()))) for kind in (self.alone, self.given))
+        return f"RMS of the residual, summed over the channels: {self.name} {rms:.3g}, given description {given:.3g}"
 
     @property
     def worse(self) -> list[str]:
-        """Sentences on the channels that it predicts worse than the description that it is from, and so does all that
-        was found."""
-        return [f"{said}; {_RECORD}" for name, said in self._worse if self._whatever_it_says(name)]
+        """Sentences on the channels that the file predicts worse than the given description, where the corrected file
+        and the full estimate do, too."""
+        return [f"{text}; {_RECORD}" for name, text in self._worse if self._estimate_is_worse(name)]
 
     @property
     def limited(self) -> list[str]:
-        """The same where all that was found predicts better: what the file cannot say is why, or that the errors of
-        sensors stand beside it."""
-        return [f"{said}{self._why(name)}" for name, said in self._worse if not self._whatever_it_says(name)]
+        """Sentences on the other worse channels, which the corrected file or the full estimate predicts better: the
+        sensor errors are beside the file, or it cannot represent some effects."""
+        return [f"{text}{self._reason(name)}" for name, text in self._worse if not self._estimate_is_worse(name)]
 
     @property
     def _worse(self) -> Iterator[tuple[str, str]]:
-        for name, own in self.alone.items():
-            if self._is_worse(name, own):
+        for name, rms in self.alone.items():
+            if self._is_worse(name, rms):
                 sentence = (
-                    f"'{name}' is predicted worse by {self.name} than by the given description: RMS {own:.3g} "
+                    f"'{name}' is predicted worse by {self.name} than by the given description: RMS {rms:.3g} "
                     f"instead of {self.given[name]:.3g}"
                 )
                 yield name, sentence
 
-    def _whatever_it_says(self, channel: str) -> bool:
+    def _estimate_is_worse(self, channel: str) -> bool:
         return all(self._is_worse(channel, kind[channel]) for kind in (self.corrected, self.found))
 
-    def _is_worse(self, channel: str, left: float) -> bool:
-        return left > WORSE * self.given[channel]
+    def _is_worse(self, channel: str, rms: float) -> bool:
+        return rms > WORSE * self.given[channel]
 
-    def _why(self, channel: str) -> str:
+    def _reason(self, channel: str) -> str:
         if not self._is_worse(channel, corrected := self.corrected[channel]):
             return f", {corrected:.3g} with the errors of sensors in effects.yaml; {_ADD}"
         lacks = self.lacks.get(channel)
@@ -299,7 +299,7 @@ class JudgedFile:
 
     @property
     def entry(self) -> dict[str, object]:
-        """As ``estimate.json`` has it."""
+        """Entry of ``estimate.json``."""
         return {"file": self.name, "loaded_by": self.program, **entry(self, "alone", "corrected", "given")}
 
 
@@ -320,19 +320,19 @@ def judge(
     errors: FloatArray | None = None,
     lacks: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> JudgedFile:
-    """How well a description predicts samples, loaded by the program that reads it.
+    """Test a description on samples, loaded by the program that reads it.
 
     Args:
         session: the robot, and the description that was given.
-        reader: who reads it.
+        reader: the reader of the description.
         whole: the description.
-        batches: samples to judge on.
-        found: RMS of what all that was found leaves of them, by channel.
-        errors: parameters ``(D,)`` of the errors of sensors that stand beside it.
-        lacks: what the estimate has and the description cannot say, by channel.
+        batches: samples to test on.
+        found: residual RMS of the full estimate on them, by channel.
+        errors: parameters ``(D,)`` of the sensor errors in files beside it.
+        lacks: effects of the estimate that the description cannot represent, by channel.
 
     Raises:
-        InputError: the program does not take it.
+        InputError: the program rejects the description.
     """
     name, program = file_name(reader), "MuJoCo" if reader == MUJOCO else "pinocchio"
     if reader == MUJOCO:
@@ -342,14 +342,14 @@ def judge(
     given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
     model, none = session.model, np.zeros(session.model.dimension)
     kinds = (written, none), (written, none if errors is None else errors), (given, none)
-    parameters = np.column_stack([read.parameters(model) + beside for read, beside in kinds])
+    parameters = np.column_stack([read.parameters(model) + offsets for read, offsets in kinds])
 
     def added(samples: Samples) -> FloatArray:
         return np.stack([read.efforts(model.robot.joint_names, samples) for read, _ in kinds], axis=2)
 
     channels = [channel.name for channel in model.channels]
-    left = session.rms(batches, parameters, added).T.tolist()
-    alone, corrected, before = (dict(zip(channels, own, strict=True)) for own in left)
+    rms = session.rms(batches, parameters, added).T.tolist()
+    alone, corrected, before = (dict(zip(channels, values, strict=True)) for values in rms)
     return JudgedFile(
         name=name, program=program, alone=alone, corrected=corrected, given=before, found=found, lacks=lacks
     )

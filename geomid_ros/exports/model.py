@@ -1,4 +1,4 @@
-"""The model that is exported: an ``estimate.json`` with the ``identified.urdf`` beside it, or any URDF."""
+"""Model to export: an ``estimate.json`` with the ``identified.urdf`` in its folder, or any URDF."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model to export from.
+    """Model to export.
 
     Attributes:
-        source: The file.
-        tree: The URDF's.
-        bodies: The links with a mass.
-        urdf: The description with the inertias, and the file that it is from.
-        effects: What was found beside these, without the payloads that are links of the URDF.
-        known: all effects of the estimate, those that its reader cannot hold included.
-        estimated: The links that were identified.
-        doubt: Why it should not be used, in a sentence; empty if nothing speaks against it.
-        gravity: ``(3,)`` [m/s^2] where the base stands straight.
-        fitted: Whether bodies and effects were fitted for who is to read them.
+        source: the file.
+        tree: tree of links and joints of the URDF.
+        bodies: the links with a mass.
+        urdf: URDF text with the inertias; ``urdf_path`` is its file.
+        effects: effects in addition to the bodies, without payloads that are links of the URDF.
+        known: all effects of the estimate, including those that its reader cannot represent.
+        estimated: the identified links.
+        doubt: why the model should not be used, in a sentence; empty if nothing speaks against it.
+        gravity: ``(3,)`` [m/s^2] with the base upright.
+        fitted: True if bodies and effects were fitted for the reader.
     """
 
     source: str
@@ -71,7 +71,7 @@ class Model:
         return placements
 
     def placement(self, link: str, frame: str) -> FloatArray:
-        """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
+        """Return the homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
         return np.linalg.inv(self.placements[frame]) @ self.placements[link]
 
     def check_link(self, link: str, kind: str) -> None:
@@ -85,8 +85,8 @@ def read_model(path: Path, reader: str = "") -> Model:
 
     Args:
         path: the file.
-        reader: who is to read it, of :data:`~geomid_ros.files.models.readers.ELEMENTS`, for the model that was
-            fitted within what its files hold; empty for the estimate itself.
+        reader: reader of the export, of :data:`~geomid_ros.files.models.readers.ELEMENTS`, for the model that was
+            fitted within the limits of its format; empty for the estimate itself.
 
     Raises:
         InputError: it names the file.
@@ -102,12 +102,12 @@ def read_model(path: Path, reader: str = "") -> Model:
     text, source = read_urdf(urdf), str(path)
     tree = parse(text, str(urdf))
     bodies = _estimated_bodies(file, tree)
-    known = found = tuple(effect for effect in file.known_effects if not is_body(effect))
+    known = effects = tuple(effect for effect in file.known_effects if not is_body(effect))
     written = written_for(file, reader)
-    friction = _dynamics(text, str(urdf), found)
+    friction = _dynamics(text, str(urdf), effects)
     if written is not None:
-        found = tuple(effect for effect in written.effects if not is_body(effect))
-        bodies |= {name: replace(bodies[name], parameters=own) for name, own in written.inertias.items()}
+        effects = tuple(effect for effect in written.effects if not is_body(effect))
+        bodies |= {name: replace(bodies[name], parameters=inertia) for name, inertia in written.inertias.items()}
         text = with_inertials(text, written.inertias)
     return Model(
         source=source,
@@ -117,7 +117,7 @@ def read_model(path: Path, reader: str = "") -> Model:
         doubt=file.doubt,
         urdf=text,
         urdf_path=urdf,
-        effects=(*found, *friction),
+        effects=(*effects, *friction),
         known=(*known, *friction),
         gravity=file.gravity,
         fitted=written is not None or not reader,
@@ -139,13 +139,13 @@ def _of_urdf(path: Path) -> Model:
 
 
 def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[KnownEffect]:
-    """Friction in a URDF's <dynamics> that is not among the effects that were ``found``."""
-    said = joint_attributes(found, "dynamics")
+    """Return the friction in <dynamics> of a URDF, unless it is among the effects that were ``found``."""
+    written = joint_attributes(found, "dynamics")
     effects = []
     for joint in read_xml(urdf, source).findall("joint"):
         name = joint.get("name", "")
         for attribute, effect in effects_of_dynamics().items():
-            if attribute not in said.get(name, {}):
+            if attribute not in written.get(name, {}):
                 where = f"{source}: joint '{name}'"
                 (value,) = read_numbers(joint, "dynamics", (attribute,), [0.0], where)
                 units = effect_class(effect).parameters[0].units
@@ -156,11 +156,11 @@ def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[Know
 
 def _urdf_bodies(tree: UrdfTree) -> dict[str, UncertainInertia]:
     unknown = np.full(10, np.nan)
-    return {name: UncertainInertia(parameters=own, std=unknown) for name, own in tree.inertials.items()}
+    return {name: UncertainInertia(parameters=body, std=unknown) for name, body in tree.inertials.items()}
 
 
 def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, UncertainInertia]:
-    """The URDF's bodies, with a file's estimates of those that were identified."""
+    """Return the bodies of the URDF, with the estimates of those that were identified."""
     written = written_for(file, URDF)
     _check_same_model(file.inertias if written is None else written.inertias, tree, file.source)
     bodies = _urdf_bodies(tree)
@@ -183,11 +183,11 @@ def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source
 def _found_payloads(
     bodies: Mapping[str, UncertainInertia], effects: Sequence[KnownEffect]
 ) -> dict[str, UncertainInertia]:
-    """Payloads that ``geomid gap`` found: links of their own in the URDF, whose standard deviations the file has."""
-    found = {}
+    """Return payloads found by ``geomid gap``: extra links in the URDF; the file has their standard deviations."""
+    payloads = {}
     for effect in effects:
         name = f"{effect.link}_payload"
         if is_body(effect) and name in bodies:
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in QUANTITY_NAMES]
-            found[name] = UncertainInertia(parameters=bodies[name].parameters, std=np.array(std))
-    return found
+            payloads[name] = UncertainInertia(parameters=bodies[name].parameters, std=np.array(std))
+    return payloads

@@ -1,4 +1,4 @@
-"""What was identified, in an MJCF of the user's own."""
+"""Identified values written into the user's MJCF."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from geomid_ros.model.urdf_tree import MOST_BYTES
 from geomid_ros.resimulation.written_robot import BodyFrames, body_frames
 from geomid_ros.types import FloatArray
 
-_FAR = 1e-3  # [m] and [rad] that the axes of one joint may be apart
+_FAR = 1e-3  # [m, rad] largest deviation between the axes of one joint
 
 
 @dataclass(frozen=True, eq=False)
 class OwnMjcf:
-    """An MJCF of the user's own that a model's numbers are written into.
+    """MJCF of the user that the numbers of a model are written into.
 
     Attributes:
-        path: The file.
-        text: What is in it.
-        placements: Homogeneous matrices ``(4, 4)`` from links to the bodies of their names.
-        joints: The joints that it has of those that something is said of.
-        emptied: Bodies that others count in.
+        path: the file.
+        text: its content.
+        placements: homogeneous matrices ``(4, 4)`` from links to the bodies of the same names.
+        joints: those of its joints that the model has values for.
+        emptied: bodies that are merged into others.
     """
 
     path: Path
@@ -43,32 +43,32 @@ class OwnMjcf:
     emptied: Sequence[str]
 
     def with_numbers(self, model: Model) -> str:
-        """The text with the inertias of a model's links and what was found at its joints, all else as it is. Raises
-        InputError for a file that does not have these itself."""
-        inertias = {name: _moved(_carried(model, name), placed) for name, placed in self.placements.items()}
-        said = joint_attributes(model.effects, "joint")
-        joints = {name: own for name, own in said.items() if name in self.joints}
+        """Return the text with the inertias of the links and the effects at the joints of a model, all else unchanged.
+        Raises InputError if one of them is not in this file but in an included one."""
+        inertias = {name: _moved(_with_payload(model, name), placed) for name, placed in self.placements.items()}
+        attributes = joint_attributes(model.effects, "joint")
+        joints = {name: values for name, values in attributes.items() if name in self.joints}
         try:
             return with_identified(self.text, inertias, joints, self.emptied)
         except KeyError as error:
             raise InputError(
                 f"{self.path}: {error} is not in this file itself; give the one that includes nothing"
             ) from error
-        except ExpatError as error:  # MuJoCo's parser takes more
+        except ExpatError as error:  # MuJoCo's parser is more lenient
             raise InputError(f"{self.path}: not valid XML ({error})") from error
 
 
 def into_mjcf(model: Model, path: Path) -> Whole:
-    """The text of an MJCF with the inertias of the model's links and what was found at its joints, by name; see
-    :func:`read_own_mjcf`."""
-    own = read_own_mjcf(model, path)
-    patched = own.with_numbers(model)
-    links, said = model.estimated or model.bodies, joint_attributes(model.effects, "joint")
+    """Return the text of an MJCF with the inertias of the links and the effects at the joints of the model, by name;
+    see :func:`read_own_mjcf`."""
+    target = read_own_mjcf(model, path)
+    patched = target.with_numbers(model)
+    links, attributes = model.estimated or model.bodies, joint_attributes(model.effects, "joint")
     sentences = [
         *not_said(model, ("mjcf/joint", "mjcf/body")),
-        *_named(f"{path}: has no body", [name for name in links if name not in own.placements]),
-        *_named(f"{path}: has no joint", [name for name in said if name not in own.joints]),
-        *_named("Counted in with others, so that they weigh nothing:", own.emptied),
+        *_named(f"{path}: has no body", [name for name in links if name not in target.placements]),
+        *_named(f"{path}: has no joint", [name for name in attributes if name not in target.joints]),
+        *_named("Counted in with others, so that they weigh nothing:", target.emptied),
     ]
     return Whole(patched, sentences)
 
@@ -76,7 +76,7 @@ def into_mjcf(model: Model, path: Path) -> Whole:
 def read_own_mjcf(model: Model, path: Path) -> OwnMjcf:
     """Read an MJCF of the same robot as ``model``.
 
-    The bodies' frames need not be those of the URDF's links: an inertia is moved from one to the other, joints at zero.
+    The frames of its bodies need not be those of the URDF's links: inertias are transformed, with all joints at zero.
 
     Raises:
         InputError: it has none of the bodies, or its axes are not where the URDF has them.
@@ -98,11 +98,11 @@ def _named(heading: str, names: Sequence[str]) -> list[str]:
     return [f"{heading} {', '.join(names)}"] if names else []
 
 
-def _carried(model: Model, link: str) -> FloatArray:
-    """Parameters ``(10,)`` of a link with the payload that was found on it, which is a link of the URDF."""
+def _with_payload(model: Model, link: str) -> FloatArray:
+    """Parameters ``(10,)`` of a link and of the payload found on it, which is a separate link of the URDF."""
     names = [name for name in (link, payload_name(link)) if name in model.bodies]
-    own = [model.bodies[name].parameters for name in names]
-    return np.asarray(np.sum(own, axis=0))
+    parameters = [model.bodies[name].parameters for name in names]
+    return np.asarray(np.sum(parameters, axis=0))
 
 
 def _moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:
@@ -110,13 +110,13 @@ def _moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:
 
 
 def _base(model: Model, frames: BodyFrames, path: Path) -> FloatArray:
-    """The homogeneous matrix ``(4, 4)`` from the URDF's root to the MJCF's world: where the body of its name is, or
-    else where all axes fit. Raises InputError if they do not."""
+    """Homogeneous matrix ``(4, 4)`` from the URDF's root to the MJCF's world: the placement of the body named like the
+    root, or else the best fit of all axes. Raises InputError if neither fits."""
     axes = _urdf_axes(model, frames.joints)
     named = frames.bodies.get(model.tree.root, np.eye(4))
     fitted = _fitted(axes, frames.joints)
     apart = [
-        [name for name in axes if _apart(base, axes[name], frames.joints[name]) >= _FAR] for base in (named, fitted)
+        [name for name in axes if _deviation(base, axes[name], frames.joints[name]) >= _FAR] for base in (named, fitted)
     ]
     if [] in apart:
         return (named, fitted)[apart.index([])]
@@ -127,34 +127,34 @@ def _base(model: Model, frames: BodyFrames, path: Path) -> FloatArray:
     )
 
 
-def _urdf_axes(model: Model, known: Iterable[str]) -> dict[str, FloatArray]:
-    """A point and the direction ``(2, 3)`` of the URDF's axes in its root's frame, of the joints that are ``known``."""
-    found = {}
+def _urdf_axes(model: Model, names: Iterable[str]) -> dict[str, FloatArray]:
+    """Point and direction ``(2, 3)`` of the axes of the joints in ``names``, in the frame of the URDF's root."""
+    axes = {}
     for joint in joint_frames(model.urdf, str(model.urdf_path)):
-        if joint.name in set(known) and np.any(joint.axis):
+        if joint.name in set(names) and np.any(joint.axis):
             placed = model.placements[joint.child]
-            found[joint.name] = np.array([placed[:3, 3], placed[:3, :3] @ joint.axis])
-    return found
+            axes[joint.name] = np.array([placed[:3, 3], placed[:3, :3] @ joint.axis])
+    return axes
 
 
 def _fitted(axes: Mapping[str, FloatArray], seen: Mapping[str, FloatArray]) -> FloatArray:
-    """The motion that brings lines to those that are ``seen``, in the least-squares sense: Kabsch's rotation of the
-    directions, then the translation across them."""
+    """Least-squares rigid motion from lines ``axes`` to lines ``seen``: the rotation of the directions (Kabsch), then
+    the translation perpendicular to them."""
     base = np.eye(4)
     if not axes:
         return base
-    here, there = (np.array([lines[name] for name in axes]) for lines in (axes, seen))
-    left, _, right = np.linalg.svd(there[:, 1].T @ here[:, 1])
-    mirror = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
-    base[:3, :3] = left @ mirror @ right
-    across = np.eye(3) - there[:, 1, :, None] * there[:, 1, None, :]
-    shifts = np.einsum("nij,nj->ni", across, there[:, 0] - here[:, 0] @ base[:3, :3].T)
+    source, target = (np.array([lines[name] for name in axes]) for lines in (axes, seen))
+    u, _, vt = np.linalg.svd(target[:, 1].T @ source[:, 1])
+    mirror = np.diag([1.0, 1.0, np.linalg.det(u @ vt)])
+    base[:3, :3] = u @ mirror @ vt
+    across = np.eye(3) - target[:, 1, :, None] * target[:, 1, None, :]
+    shifts = np.einsum("nij,nj->ni", across, target[:, 0] - source[:, 0] @ base[:3, :3].T)
     base[:3, 3] = np.linalg.lstsq(across.reshape(-1, 3), shifts.ravel(), rcond=None)[0]
     return base
 
 
-def _apart(base: FloatArray, line: FloatArray, seen: FloatArray) -> float:
-    """How far a line is from the one that is ``seen``, the larger of the angle and the distance."""
+def _deviation(base: FloatArray, line: FloatArray, seen: FloatArray) -> float:
+    """Deviation of a ``line`` from the line ``seen``: the larger of the angle and the distance."""
     point, direction = base[:3, :3] @ line[0] + base[:3, 3], base[:3, :3] @ line[1]
     distance = np.linalg.norm(np.cross(point - seen[0], seen[1]))
     return float(max(distance, np.linalg.norm(direction - seen[1])))

@@ -1,5 +1,5 @@
-"""Inertias to export: bodies as one in a frame, and what is attached to a flange: the links after it, named links, or
-what a reference without the tool does not have."""
+"""Inertias to export: bodies summed in one frame, or the payload at a flange: the links after it, named links, or the
+difference to a reference without the tool."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _AS_INDEPENDENT = "± counts both estimates' errors as independent: too large if
 
 
 class Summand(NamedTuple):
-    """A body in a sum: the homogeneous ``placement (4, 4)`` of its frame in that of the sum; ``sign`` is -1 for a body
-    that is subtracted."""
+    """Body in a sum: the homogeneous ``placement (4, 4)`` of its frame in the frame of the sum; ``sign`` is -1 to
+    subtract it."""
 
     inertial: UncertainInertia
     placement: FloatArray
@@ -42,9 +42,9 @@ class Export:
 
 
 def attached(model: Model, frame: str) -> Export:
-    """All links at and after the link ``frame``, in its axes.
+    """Sum all links at and after the link ``frame``, in its axes.
 
-    Raises InputError if there are none with a mass, if they are counted in with a link before, or if the data do not
+    Raises InputError if none of them has a mass, if one is merged into a link before ``frame``, or if the data do not
     identify them.
     """
     model.check_link(frame, "frame")
@@ -52,7 +52,7 @@ def attached(model: Model, frame: str) -> Export:
 
 
 def chosen(model: Model, links: Sequence[str], frame: str) -> Export:
-    """These links in the axes of the link ``frame``. Raises InputError as :func:`attached` does."""
+    """Sum the given links in the axes of the link ``frame``. Raises InputError as :func:`attached` does."""
     model.check_link(frame, "frame")
     for link in links:
         model.check_link(link, "link")
@@ -64,15 +64,15 @@ def chosen(model: Model, links: Sequence[str], frame: str) -> Export:
 
 
 def difference(model: Model, reference: Model, frame: str) -> Export:
-    """What ``model`` has and ``reference`` has not, in the axes of the link ``frame``, which both have.
+    """Subtract ``reference`` from ``model`` in the axes of the link ``frame``, which both have.
 
-    Everything is compared that moves with the link that carries the frame: a tool may have been identified as one body
-    with the wrist. Raises InputError as :func:`attached` does, and if the difference is no body.
+    The subtraction covers everything that moves with the link that supports the frame: a tool may have been identified
+    as one body with the wrist. Raises InputError as :func:`attached` does, and if the difference is no physical body.
     """
-    carried, taken = _moving_with(model, frame), _moving_with(reference, frame)
-    _check_identified(model, carried)
-    terms = [*_terms(model, carried, frame), *_terms(reference, taken, frame, -1.0)]
-    what = f"{model.source} without {reference.source}"
+    minuend, subtrahend = _moving_with(model, frame), _moving_with(reference, frame)
+    _check_identified(model, minuend)
+    terms = [*_terms(model, minuend, frame), *_terms(reference, subtrahend, frame, -1.0)]
+    title = f"{model.source} without {reference.source}"
     try:
         inertial = total(terms, f"what {model.source} has more than {reference.source} at '{frame}'")
     except InputError as error:
@@ -81,18 +81,18 @@ def difference(model: Model, reference: Model, frame: str) -> Export:
             f"by {_weighing(reference, frame)}, or mount a wrench sensor before it"
         ) from error
     notes = (
-        *_joints_at_zero(model, carried, frame),
-        *_exact(model, carried, inertial),
-        *_exact(reference, taken, inertial),
-        *([_AS_INDEPENDENT] if any(reference.bodies[link].has_std for link in taken) else []),
+        *_joints_at_zero(model, minuend, frame),
+        *_exact(model, minuend, inertial),
+        *_exact(reference, subtrahend, inertial),
+        *([_AS_INDEPENDENT] if any(reference.bodies[link].has_std for link in subtrahend) else []),
         *_other_differences(model, reference, frame),
     )
-    return Export(f"payload at '{frame}': {what}", frame, inertial, notes)
+    return Export(f"payload at '{frame}': {title}", frame, inertial, notes)
 
 
 def each_link(model: Model) -> list[Export]:
-    """The links of a model, each in its own axes: those that were identified, or all of a URDF. Raises InputError for a
-    link that cannot exist."""
+    """Return the links of a model, each in its axes: the identified ones, or all of a URDF. Raises InputError for a
+    physically impossible link."""
     exports = []
     for name in model.estimated or model.bodies:
         body = model.bodies[name]
@@ -137,12 +137,12 @@ def _massive(model: Model, links: Sequence[str]) -> list[str]:
 
 
 def _carrier(model: Model, frame: str) -> str:
-    """The moving link (or the root) that the link ``frame`` is fixed to."""
+    """Return the moving link (or the root) that the link ``frame`` is fixed to."""
     return next((joint.child for joint in model.tree.joints_above(frame) if joint.type != "fixed"), model.tree.root)
 
 
 def _moving_with(model: Model, frame: str) -> list[str]:
-    """The links with a mass that move with the link that carries a frame, which is checked."""
+    """Return the links with a mass that move with the link supporting ``frame``; check that no body is split."""
     model.check_link(frame, "frame")
     links = model.tree.subtree(_carrier(model, frame))
     _check_whole(model, links)
@@ -154,7 +154,7 @@ def _terms(model: Model, links: Sequence[str], frame: str, sign: float = 1.0) ->
 
 
 def _check_whole(model: Model, links: Sequence[str]) -> None:
-    """Refuse to cut a body in two."""
+    """Refuse to split a body."""
     for name, body in model.bodies.items():
         inside = [link for link in body.merged if link in links]
         if inside and name not in links:
@@ -179,12 +179,12 @@ def _check_identified(model: Model, links: Sequence[str]) -> None:
 
 
 def _unidentified_weight(body: UncertainInertia) -> list[str]:
-    """The quantities that gravity acts on and that the data do not identify."""
+    """Return the quantities that gravity acts on and that the data do not identify."""
     return [name for name in body.cannot_tell or () if name == "mass" or name.startswith("com")]
 
 
 def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]:
-    """The joints between a frame and links, whose positions change where these are."""
+    """Note the moving joints between a frame and links, because their positions change where the links are."""
     above_frame = set(model.tree.joints_above(frame))
     between = [joint for link in links for joint in model.tree.joints_above(link) if joint not in above_frame]
     moving = dict.fromkeys(joint.name for joint in between if joint.type != "fixed")
@@ -192,13 +192,13 @@ def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]
 
 
 def _exact(model: Model, links: Sequence[str], inertial: UncertainInertia) -> list[str]:
-    """Which links count as exact in the sum ``inertial``."""
+    """Note the links that count as exact in the sum ``inertial``."""
     names = [link for link in links if not model.bodies[link].has_std]
     return [f"taken as exact: {', '.join(names)} of {model.source}"] if names and inertial.has_std else []
 
 
 def _other_differences(model: Model, reference: Model, frame: str) -> list[str]:
-    """Links elsewhere that differ: part of the payload may be in them."""
+    """Note links elsewhere that differ: they may contain part of the payload."""
     carried = model.tree.subtree(_carrier(model, frame))
     common = [link for link in _massive(model, model.tree.links) if link in reference.bodies and link not in carried]
     differing = [link for link in common if not _same(model.bodies[link], reference.bodies[link])]
@@ -209,7 +209,7 @@ def _other_differences(model: Model, reference: Model, frame: str) -> list[str]:
 
 
 def _weighing(reference: Model, frame: str) -> str:
-    """The command that weighs a payload as a body of its own."""
+    """Return the command that identifies a payload as a separate body."""
     empty = reference.source if reference.estimated else "EMPTY_BAG"
     return f"'geomid payload {empty} LOADED_BAG --frame {frame}'"
 
@@ -219,11 +219,11 @@ def _same(one: UncertainInertia, other: UncertainInertia) -> bool:
 
 
 def total(terms: Sequence[Summand], what: str) -> UncertainInertia:
-    """The sum of bodies as one. Raises InputError that begins with ``what`` if no body can be so.
+    """Sum bodies. Raises InputError that begins with ``what`` if the sum is no physical body.
 
-    Standard deviations are propagated one by one, by differences of plus and minus one standard deviation: files do not
-    have the correlations of a body's quantities, so they count as independent. Unknown ones add nothing, unless none is
-    known.
+    Standard deviations are propagated one by one, by differences of plus and minus one standard deviation. Files do not
+    have the correlations of a body's quantities, so they are treated as independent. Unknown ones add nothing, unless
+    all are unknown.
     """
     given = np.array([term.inertial.quantities for term in terms]).reshape(-1, 10)
     parameters = _sum(terms, given)
@@ -240,10 +240,10 @@ def total(terms: Sequence[Summand], what: str) -> UncertainInertia:
 
 
 def _sum(terms: Sequence[Summand], quantities: FloatArray) -> FloatArray:
-    """Parameters ``(10,)`` of the sum, the bodies having ``quantities (bodies, 10)``."""
+    """Parameters ``(10,)`` of the sum of bodies with ``quantities (bodies, 10)``."""
     pseudo = np.zeros((4, 4))
-    for term, own in zip(terms, pseudo_inertia.from_parameters(pseudo_inertia.parameters_of(quantities)), strict=True):
-        pseudo += term.sign * term.placement @ own @ term.placement.T
+    for term, body in zip(terms, pseudo_inertia.from_parameters(pseudo_inertia.parameters_of(quantities)), strict=True):
+        pseudo += term.sign * term.placement @ body @ term.placement.T
     return pseudo_inertia.to_parameters(pseudo)
 
 

@@ -1,4 +1,4 @@
-"""Robots drawn from an estimate's posterior, in the terms of other software, and how much their torques differ."""
+"""Robots sampled from the posterior of an estimate, in formats of other software, and the spread of their torques."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from geomid_ros.types import FloatArray
 BAND = (0.025, 0.975)
 """Quantiles at the ends of 95 % ranges."""
 ENOUGH = 1000
-"""Robots for these."""
+"""Number of robots that these quantiles are computed from."""
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnRobots:
-    """Robots drawn from a posterior.
+    """Robots sampled from a posterior.
 
     Attributes:
-        model: The estimate.
-        posterior: What is known of it.
-        parameters: Of drawn robots ``(N, D)``, in the posterior's order, enough of them for ranges.
-        count: How many of these were asked for.
+        model: the estimate.
+        posterior: posterior of the estimate.
+        parameters: of sampled robots ``(N, D)``, in the order of the posterior; enough of them for ranges.
+        count: the number of robots requested.
     """
 
     model: Model
@@ -55,7 +55,7 @@ class DrawnRobots:
     count: int
 
     def __iter__(self) -> Iterator[Model]:
-        """Each robot that was asked for in turn."""
+        """Iterate over the requested robots."""
         return map(self._robot, range(self.count))
 
     @property
@@ -65,13 +65,13 @@ class DrawnRobots:
 
     @property
     def coefficients(self) -> list[tuple[EffectCoordinate, FloatArray]]:
-        """The effects' coefficients, each with its values ``(N,)``."""
+        """Coefficients of the effects, each with its values ``(N,)``."""
         return list(zip(self.posterior.effects, self.parameters[:, 10 * len(self.posterior.links) :].T, strict=True))
 
     def _robot(self, number: int) -> Model:
         bodies, unknown = self.model.bodies, np.full(10, np.nan)
-        inertias = {name: own[number] for name, own in self.links.items()}
-        drawn = {name: replace(bodies[name], parameters=own, std=unknown) for name, own in inertias.items()}
+        inertias = {name: values[number] for name, values in self.links.items()}
+        drawn = {name: replace(bodies[name], parameters=values, std=unknown) for name, values in inertias.items()}
         return replace(
             self.model,
             bodies={**bodies, **drawn},
@@ -80,7 +80,7 @@ class DrawnRobots:
         )
 
     def _effect(self, effect: KnownEffect, number: int) -> KnownEffect:
-        """An effect of the model as a robot has it."""
+        """Return an effect of the model with the parameters of robot ``number``."""
         parameters = dict(effect.parameters)
         for name in parameters:
             if (key := (effect.effect, effect.joint, name)) in self._drawn:
@@ -90,19 +90,19 @@ class DrawnRobots:
 
     @cached_property
     def _drawn(self) -> dict[tuple[str, str, str], tuple[EffectCoordinate, FloatArray]]:
-        """The effects' parameters that are drawn, by effect, place and parameter: those of which the posterior and the
-        estimate have the same number."""
-        said, found = by_parameter(self.model.effects), {}
+        """Sampled parameters of effects, by effect, place and parameter. They are those that have the same value in the
+        posterior and in the estimate."""
+        given, sampled = by_parameter(self.model.effects), {}
         estimated = self.posterior.parameters[10 * len(self.posterior.links) :]
         for (c, drawn), value in zip(self.coefficients, estimated, strict=True):
             key = c.name, c.place, c.parameter
-            if key in said and abs(said[key].value - value) <= SAME * abs(value):
-                found[key] = c, drawn
-        return found
+            if key in given and abs(given[key].value - value) <= SAME * abs(value):
+                sampled[key] = c, drawn
+        return sampled
 
     @property
     def not_drawn(self) -> str:
-        """The effects that all robots have as the estimate has them, in a sentence; empty if there are none."""
+        """Effects that are fixed at their estimates in all robots, in a sentence; empty if there are none."""
         drawn = {(effect, place) for effect, place, _ in self._drawn}
         names = [
             f"{e.effect.replace('_', ' ')} of {e.joint or e.link or 'the robot'}"
@@ -113,7 +113,7 @@ class DrawnRobots:
 
 
 def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots:
-    """Draw ``count`` robots from the posterior beside an ``estimate.json``, standard deviations times ``spread``.
+    """Sample ``count`` robots from the posterior beside an ``estimate.json``, standard deviations times ``spread``.
 
     Raises:
         InputError: there is no posterior beside it, or it is of another estimate.
@@ -131,14 +131,14 @@ def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots
 def descriptions_of(
     robots: DrawnRobots, tool: str, into: Path | None, packages: Mapping[str, Path]
 ) -> Iterator[tuple[str, str]]:
-    """Names and texts of files of the drawn robots.
+    """Yield names and texts of the files of the sampled robots.
 
     Args:
-        robots: What was drawn.
-        tool: Who is to read it: of :data:`~geomid_ros.exports.descriptions.DESCRIPTIONS` a file each, or ``json`` one
-            of all.
-        into: An MJCF of the user's own, for mujoco.
-        packages: Folders of ROS packages, by name.
+        robots: the sampled robots.
+        tool: reader of the files: for :data:`~geomid_ros.exports.descriptions.DESCRIPTIONS` one file per robot, for
+            ``json`` one file of all.
+        into: MJCF of the user, for mujoco.
+        packages: folders of ROS packages, by name.
     """
     if tool == JSON:
         entries = [_entries(robots, model) for model in robots]
@@ -150,12 +150,12 @@ def descriptions_of(
 
 
 def _writer(model: Model, tool: str, into: Path | None, packages: Mapping[str, Path]) -> Callable[[Model], str]:
-    """What makes the text of a drawn robot."""
+    """Return a function that writes the text of a sampled robot."""
     if tool != "mujoco":
         return lambda drawn: DESCRIPTIONS[tool].whole(as_described(drawn, packages)).text
     if into is not None:
-        own = read_own_mjcf(model, into)
-        return replace(own, text=_with_absolute_folders(own.text, into)).with_numbers
+        template = read_own_mjcf(model, into)
+        return replace(template, text=_with_absolute_folders(template.text, into)).with_numbers
     text = DESCRIPTIONS[tool].whole(as_described(model, packages)).text
     placements = {name: np.eye(4) for name in model.estimated}
     joints = [joint.name for joint in model.tree.joints]
@@ -163,12 +163,12 @@ def _writer(model: Model, tool: str, into: Path | None, packages: Mapping[str, P
 
 
 def _with_absolute_folders(text: str, path: Path) -> str:
-    """An MJCF that finds its files from any folder: what it says of their folders is said once more, absolutely."""
+    """Repeat the asset folders of an MJCF as absolute paths, so that its files are found from any folder."""
     root = ElementTree.fromstring(text)  # noqa: S314 MuJoCo has read it, expat has limits
     if not any(element.get("file") for element in root.iter()):
         return text
-    said = {key: value for compiler in root.iter("compiler") for key, value in compiler.attrib.items()}
-    folders = {key: said.get(key, said.get("assetdir", "")) for key in ("meshdir", "texturedir")}
+    settings = {key: value for compiler in root.iter("compiler") for key, value in compiler.attrib.items()}
+    folders = {key: settings.get(key, settings.get("assetdir", "")) for key in ("meshdir", "texturedir")}
     attributes = " ".join(
         f"{key}={quoteattr(str((path.parent / folder).resolve()))}" for key, folder in folders.items()
     )
@@ -177,7 +177,7 @@ def _with_absolute_folders(text: str, path: Path) -> str:
 
 
 def _entries(robots: DrawnRobots, model: Model) -> dict[str, Any]:
-    """A robot's links and effects as ``estimate.json`` has them."""
+    """Return links and effects of a robot as in ``estimate.json``."""
     links = [
         link_entry(name, merged, model.bodies[name].parameters)
         for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True)
@@ -196,11 +196,11 @@ _ISAAC_JOINT = {"joint/armature": "armature_distribution_params", "joint/frictio
 
 
 def ranges_text(robots: DrawnRobots, *, isaac: bool = False) -> str:
-    """The YAML of the 95 % range of every number by itself, for simulators that randomise by themselves.
+    """Return YAML with the 95 % range of every number, for simulators that randomise by themselves.
 
-    Robots that are drawn from ranges know nothing of how the numbers belong together, and are as much wider. With
-    ``isaac``, ``events`` has the same as arguments of Isaac Lab's event terms (``isaaclab.envs.mdp``), by the term's
-    name: ``func``, ``mode`` and ``params`` of an EventTermCfg, ``asset_cfg`` being those of a SceneEntityCfg.
+    Independent ranges ignore the correlations of the posterior, so robots sampled from them vary more. With ``isaac``,
+    ``events`` has the same as arguments of Isaac Lab's event terms (``isaaclab.envs.mdp``), by the name of the term:
+    ``func``, ``mode`` and ``params`` of an EventTermCfg, ``asset_cfg`` being those of a SceneEntityCfg.
     """
     text = _HEADER + _yaml({"links": _links(robots), "effects": _effects(robots)})
     return text + _EVENTS + _yaml({"events": _events(robots)}) if isaac else text
@@ -211,12 +211,12 @@ def _yaml(document: dict[str, Any]) -> str:
 
 
 def _band(values: FloatArray) -> list[float]:
-    """The range of drawn ``values (N,)``, to six digits."""
+    """95 % range of ``values (N,)``, to six digits."""
     return [float(f"{value:.6g}") for value in np.quantile(values, BAND)]
 
 
 def _quantities(robots: DrawnRobots) -> dict[str, FloatArray]:
-    """Quantities ``(N, 10)`` of the drawn links, by name."""
+    """Quantities ``(N, 10)`` of the sampled links, by name."""
     return {name: pseudo_inertia.quantities_of(parameters) for name, parameters in robots.links.items()}
 
 
@@ -250,38 +250,37 @@ def _events(robots: DrawnRobots) -> dict[str, Any]:
 
 
 def _event(function: str, asset: dict[str, str], ranges: dict[str, Any], *, absolute: bool = False) -> dict[str, Any]:
-    how = {"operation": "abs", "distribution": "uniform"} if absolute else {}
+    distribution = {"operation": "abs", "distribution": "uniform"} if absolute else {}
     return {
         "func": f"isaaclab.envs.mdp.{function}",
         "mode": "startup",
-        "params": {"asset_cfg": dict(asset), **ranges, **how},
+        "params": {"asset_cfg": dict(asset), **ranges, **distribution},
     }
 
 
 def _joint_ranges(robots: DrawnRobots) -> dict[str, dict[str, list[float]]]:
-    """What Isaac Lab draws at joints: armature and dry friction."""
-    found: dict[str, dict[str, list[float]]] = {}
+    """Ranges of the joint parameters that Isaac Lab randomises: armature and dry friction."""
+    ranges: dict[str, dict[str, list[float]]] = {}
     for c, values in robots.coefficients:
         forms = {form.name: form.mjcf for form in effect_class(c.name).parameters}
         if (key := _ISAAC_JOINT.get(forms.get(c.parameter, ""))) is not None:
-            found.setdefault(c.place, {})[key] = _band(values)
-    return found
+            ranges.setdefault(c.place, {})[key] = _band(values)
+    return ranges
 
 
 RANGE = 0.2
-"""Half of the width of the ranges that drawn robots are compared with, as a share of each number."""
+"""Half-width of the uniform ranges that sampled robots are compared with, as a fraction of each number."""
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueSpread:
-    """Widths of 95 % bands of efforts, root mean square over many instants of fast motion.
+    """Widths of 95 % bands of joint efforts, as RMS over many samples of fast motion.
 
     Attributes:
-        joints: Their names.
-        units: Of their efforts.
-        drawn: Of the drawn robots ``(joints,)``.
-        ranges: Of robots whose links, and whose effects, are each within 20 % of the estimate, independently
-            ``(joints,)``.
+        joints: names of the joints.
+        units: units of their efforts.
+        drawn: of the sampled robots ``(joints,)``.
+        ranges: of robots whose links and effects are each within 20 % of the estimate, independently ``(joints,)``.
     """
 
     joints: tuple[str, ...]
@@ -291,19 +290,19 @@ class TorqueSpread:
 
     @property
     def ratio(self) -> float:
-        """How wide drawn robots are spread beside ranges, mean over the joints."""
+        """Width of the band of sampled robots relative to that of ranges, mean over the joints."""
         return float(np.mean(self.drawn / self.ranges))
 
 
 def torque_spread(robots: DrawnRobots) -> TorqueSpread:
-    """The spread of joint torques of drawn robots."""
+    """Compute the variation of joint torques among sampled robots."""
     model = MeasurementModel(
         described_robot(robots.model), [], local_effects=LoadedModel.read(robots.model.source).local_effects(())
     )
     motion = instants(model, moving=True)
     estimate = _in_order(model, robots, robots.posterior.parameters[None])[0]
     drawn = _in_order(model, robots, robots.parameters[:ENOUGH])
-    bands = [torque_bands(model, motion, each) for each in (drawn, within_ranges(model, estimate))]
+    bands = [torque_bands(model, motion, parameters) for parameters in (drawn, within_ranges(model, estimate))]
     joints = model.robot.joints
     return TorqueSpread(
         tuple(joint.name for joint in joints),
@@ -313,21 +312,21 @@ def torque_spread(robots: DrawnRobots) -> TorqueSpread:
 
 
 def torque_bands(model: MeasurementModel, motion: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper ends ``(N, channels)`` of the 95 % bands of what robots with ``parameters (robots, D)`` feel at N
-    instants."""
+    """Compute the ends ``(N, channels)`` of the 95 % bands of efforts at N samples, lower and upper, for robots with
+    ``parameters (robots, D)``."""
     _, efforts = model.predict(motion, parameters.T)
     low, high = np.quantile(efforts, BAND, axis=2)
     return low, high
 
 
 def _in_order(model: MeasurementModel, robots: DrawnRobots, parameters: FloatArray) -> FloatArray:
-    """Drawn ``parameters (N, D)`` in the order of a measurement model; links that were not drawn are the URDF's."""
+    """Reorder ``parameters (N, D)`` from the posterior to the model; links not sampled take the values of the URDF."""
     order = places_in(robots.posterior, model)
     return np.where(order >= 0, parameters[:, order], model.nominal_parameters)
 
 
 def within_ranges(model: MeasurementModel, estimate: FloatArray) -> FloatArray:
-    """Robots ``(N, D)`` within 20 % of the ``estimate (D,)``: a factor for each link, and one for each effect."""
+    """Sample robots ``(N, D)`` within 20 % of the ``estimate (D,)``: one factor for each link and each effect."""
     links = len(model.body_names)
     factors = np.random.default_rng(1).uniform(1.0 - RANGE, 1.0 + RANGE, (ENOUGH, links + len(model.coefficients)))
     return np.asarray(

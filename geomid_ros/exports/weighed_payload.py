@@ -1,4 +1,4 @@
-"""A weighed payload at the flange: for people, files and controllers."""
+"""Identified payload at the flange: for people, files and controllers."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from geomid_ros.session.session import Session
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Payload:
-    """What was weighed, in the axes and about the origin of the link ``frame``.
+    """Identified payload in the axes and about the origin of the link ``frame``.
 
     Attributes:
-        weighed: the payload in the axes of the moving link that carries it, with how well it is known.
-        inertial: the same in those of ``frame``.
+        weighed: the payload in the axes of the moving link that supports it, with its uncertainty.
+        inertial: the same in the axes of ``frame``.
     """
 
     frame: str
@@ -34,29 +34,29 @@ class Payload:
 
     @property
     def mass(self) -> float:
-        """[kg]."""
+        """Mass [kg]."""
         return self.inertial.mass
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % interval of the mass [kg], with the uncertainty of the efforts' gain."""
+        """95 % interval of the mass [kg], including the uncertainty of the effort gain."""
         return self.weighed.mass_interval
 
     @property
     def sentence(self) -> str:
-        """The mass with its interval, and where it hangs; where the motions tell the first moment alone, that."""
+        """Mass with its interval and its link, after the first moment if the motions identify only that."""
         low, high = self.interval
         gain = f", an uncertain gain of {100.0 * self.weighed.gain:.3g} % included" if self.weighed.gain else ""
         mass = f"{self.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain}), at '{self.frame}'"
         if not self.weighed.tells_moment_alone:
             return mass
         moments = zip("xyz", self.weighed.moment, self.weighed.moment_std, strict=True)
-        said = ", ".join(f"m {axis} {value:.4g} ± {STDS_OF_95 * std:.2g}" for axis, value, std in moments)
-        return f"{said} kg m (95 %{gain}) in '{self.weighed.link}'; these motions do not identify the mass: {mass}"
+        listed = ", ".join(f"m {axis} {value:.4g} ± {STDS_OF_95 * std:.2g}" for axis, value, std in moments)
+        return f"{listed} kg m (95 %{gain}) in '{self.weighed.link}'; these motions do not identify the mass: {mass}"
 
     @property
     def document(self) -> dict[str, Any]:
-        """All of it, for JSON."""
+        """All numbers, for JSON."""
         weighed = self.weighed
         quantities, std = self.inertial.quantities.tolist(), self.inertial.std.tolist()
         return {
@@ -78,8 +78,8 @@ class Payload:
         }
 
     def commands(self, controller: str) -> str:
-        """The text that sets the payload at a controller: ``ur`` or ``franka``. Raises InputError for one that is not
-        identified or doubtful, or that the controller refuses."""
+        """Return the text that sets the payload at a controller: ``ur`` or ``franka``. Raises InputError if the payload
+        is not identified, doubtful, or refused by the controller."""
         if "mass" in self.weighed.cannot_tell or self.weighed.verdict.word != USABLE:
             reasons = "; ".join(self.weighed.verdict.reasons) or "its mass is not identified"
             raise InputError(f"no commands for {controller}: {reasons}; record more motion of all joints")
@@ -89,17 +89,17 @@ class Payload:
 def weigh_at(
     session: Session, empty: Sequence[Samples] | Posterior, loaded: Sequence[Samples], frame: str, gain: float = GAIN
 ) -> Payload:
-    """Weigh what hangs at a link of the URDF.
+    """Identify the payload at a link of the URDF.
 
     Args:
         session: of :func:`payload_session`.
         empty: samples without the payload, or the posterior of an earlier estimate.
-        loaded: samples with it.
-        frame: the flange; empty for the last link that moves.
+        loaded: samples with the payload.
+        frame: the flange; empty for the last moving link.
         gain: see :func:`weigh`.
 
     Raises:
-        InputError: the frame is no link that moves, or nothing was measured.
+        InputError: the frame is unknown or fixed to no moving link, or nothing was measured.
     """
     link = session.robot.carrier(frame) if frame else session.model.body_names[-1]
     weighed = weigh(session, empty, loaded, link, gain)

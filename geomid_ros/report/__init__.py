@@ -1,1 +1,1 @@
-"""Pictures and pages."""
+"""Pictures and HTML pages."""

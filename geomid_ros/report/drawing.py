@@ -1,4 +1,4 @@
-"""The picture of an identification: bodies before and after, and what was measured against the models."""
+"""Picture of an identification: bodies before and after, and measured and predicted channels."""
 
 from __future__ import annotations
 
@@ -30,12 +30,11 @@ def draw_identification(
     """Draw the bodies before and after, and every measured channel over time.
 
     Args:
-        session: in which it was identified.
-        estimate: what was found.
-        batches: the bodies are drawn as the robot stands in the middle of these samples, which are in the order of
-            time.
-        series: the channels of them.
-        of_what: what these samples are.
+        session: session of the identification.
+        estimate: the estimate.
+        batches: samples in the order of time; the bodies are drawn in the pose of the middle one.
+        series: their channels.
+        of_what: name of these samples.
     """
     return identification_figure(
         f"{session.robot.name}: identified link inertias",
@@ -83,7 +82,7 @@ def _ellipsoid(parameters: FloatArray, rotation: FloatArray, origin: FloatArray)
 
 
 def _middle(batches: Sequence[Samples]) -> Samples:
-    """The one sample in the middle."""
+    """Sample in the middle of the batches."""
     ends = np.cumsum([len(samples) for samples in batches])
     batch = int(np.searchsorted(ends, ends[-1] // 2, side="right"))
     place = int(ends[-1] // 2 - ends[batch]) + len(batches[batch])
@@ -91,7 +90,7 @@ def _middle(batches: Sequence[Samples]) -> Samples:
 
 
 def draw_series(figure: Figure, series: Sequence[Series]) -> None:
-    """Draw the most improved channels into their place."""
+    """Draw the most improved channels."""
     shown = _most_improved(series)
     left, top, width, height = CHANNELS
     _draw_series_header(figure, series, len(shown))
@@ -101,17 +100,17 @@ def draw_series(figure: Figure, series: Sequence[Series]) -> None:
     rows = -(-len(shown) // columns)
     clock = Clock.of(shown)
     cell = (width / columns, min(height / rows, 3.2))
-    first: Axes | None = None
+    shared: Axes | None = None
     for k, channel in enumerate(shown):
         row, column = divmod(k, columns)
         place = (left + column * cell[0] + 0.30 * column, top + row * cell[1] + 0.1, cell[0] - 0.30, cell[1] - 0.42)
-        axes = add_axes(figure, place, first)
-        first = first or axes
+        axes = add_axes(figure, place, shared)
+        shared = shared or axes
         _draw_channel(axes, channel, clock, place[2], lowest=k + columns >= len(shown))
 
 
 def _most_improved(series: Sequence[Series]) -> list[Series]:
-    """At most ``MOST_DRAWN``, in their own order."""
+    """Select at most ``MOST_DRAWN`` channels with the largest improvement, in their original order."""
     ratios = np.array([channel.ratio for channel in series])
     best = np.argsort(np.where(np.isfinite(ratios), ratios, np.inf), kind="stable")[:MOST_DRAWN]
     return [series[k] for k in np.sort(best)]
@@ -136,7 +135,7 @@ def _draw_series_header(figure: Figure, series: Sequence[Series], shown: int) ->
 
 
 def _draw_channel(axes: Axes, channel: Series, clock: Clock, width: float, lowest: bool) -> None:
-    """In a panel ``width`` inches wide; the ``lowest`` of a column names the times."""
+    """Draw a channel in a panel ``width`` inches wide; the ``lowest`` panel of a column labels the time."""
     axes.plot(*thinned(channel.times, channel.measured, clock), color=MEASURED, lw=1.5)
     axes.plot(*thinned(channel.times, channel.nominal, clock), color=URDF, lw=1.1, ls="--")
     axes.plot(*thinned(channel.times, channel.predicted, clock), color=IDENTIFIED, lw=0.9)

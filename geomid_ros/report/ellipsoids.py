@@ -1,6 +1,6 @@
-"""A robot's bodies as ellipsoids of visible size, and their projection on the picture.
+"""Bodies of a robot as ellipsoids of visible size, and their projection onto the picture.
 
-The projection is orthographic: there an ellipsoid's outline is an ellipse.
+The projection is orthographic, in which the outline of an ellipsoid is an ellipse.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """A body's equivalent uniform ellipsoid in the robot's pose, in the world frame.
+    """Equivalent uniform ellipsoid of a body in the pose of the robot, in the world frame.
 
     ``centre (3,)`` and ``semi_axes (3,)`` [m], ``axes (3, 3)`` with their directions as columns, ``mass`` [kg].
     """
@@ -28,20 +28,20 @@ class Ellipsoid:
 
     @property
     def is_finite(self) -> bool:
-        """Whether it can be drawn."""
+        """True if the ellipsoid can be drawn."""
         return all(np.all(np.isfinite(part)) for part in (self.centre, self.semi_axes, self.axes))
 
 
 @dataclass(frozen=True, eq=False)
 class BodyDrawing:
-    """A link to draw.
+    """Link to draw.
 
     Attributes:
-        name: The link.
-        origin: Of its frame in the world, ``(3,)`` [m].
-        parent_origin: Where the stick to it starts, ``(3,)`` [m]; None for no stick.
-        prior, identified: Its body before and after.
-        from_data: Share of the estimate that came from data, 0 to 1.
+        name: name of the link.
+        origin: origin of its frame in the world, ``(3,)`` [m].
+        parent_origin: start of the stick to it, ``(3,)`` [m]; None for no stick.
+        prior, identified: its body before and after.
+        from_data: fraction of the estimate that came from data, 0 to 1.
     """
 
     name: str
@@ -54,26 +54,26 @@ class BodyDrawing:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Orthographic: ``rotation (3, 3)`` has rows right, up, towards the viewer."""
+    """Orthographic view: the rows of ``rotation (3, 3)`` point right, up, and towards the viewer."""
 
     rotation: FloatArray
 
     def flat(self, points: FloatArray) -> FloatArray:
-        """World points ``(..., 3)`` on the picture ``(..., 2)`` [m]."""
+        """Project world points ``(..., 3)`` onto the picture ``(..., 2)`` [m]."""
         return points @ self.rotation[:2].T
 
     def depth(self, point: FloatArray) -> float:
-        """Larger is nearer to the viewer [m]."""
+        """Depth of a point [m]; larger is nearer to the viewer."""
         return float(self.rotation[2] @ point)
 
     def sphere_map(self, body: Ellipsoid) -> FloatArray:
-        """``(3, 3)``: takes the unit sphere to the ellipsoid about its centre, in the view's axes [m]."""
+        """Matrix ``(3, 3)`` [m] that maps the unit sphere to the ellipsoid about its centre, in the view's axes."""
         return self.rotation @ (body.axes * body.semi_axes)
 
 
 def reach_of(bodies: Sequence[BodyDrawing]) -> float:
-    """How far from its link's origin a body may reach [m] that the picture has room for: in proportion to the robot, or
-    to most of its bodies where the frames lie close together."""
+    """Largest reach of a body from its link's origin [m] that fits the picture: the size of the robot, or three times
+    the median reach where the frames lie close together."""
     robot = float(np.linalg.norm(np.ptp(stick_ends(bodies), axis=0)))
     reaches = [np.linalg.norm(body.prior.centre - body.origin) + np.max(body.prior.semi_axes) for body in bodies]
     finite = [reach for reach in reaches if np.isfinite(reach)]
@@ -81,7 +81,7 @@ def reach_of(bodies: Sequence[BodyDrawing]) -> float:
 
 
 def thickened(body: BodyDrawing, least: float) -> BodyDrawing:
-    """The body with semi-axes of ``least`` [m] or more, which can be seen."""
+    """Return the body with semi-axes of at least ``least`` [m], so that it is visible."""
     prior, identified = (
         replace(solid, semi_axes=np.maximum(np.abs(solid.semi_axes), least)) for solid in (body.prior, body.identified)
     )
@@ -89,28 +89,28 @@ def thickened(body: BodyDrawing, least: float) -> BodyDrawing:
 
 
 def solids_within(bodies: Sequence[BodyDrawing], reach: float) -> list[Ellipsoid]:
-    """The ellipsoids that reach no farther from their link's origin [m]."""
+    """Select the ellipsoids within ``reach`` [m] of their link's origin."""
     pairs = [(body.origin, solid) for body in bodies for solid in (body.prior, body.identified)]
     return [s for origin, s in pairs if np.linalg.norm(s.centre - origin) + np.max(s.semi_axes) <= reach]
 
 
 def stick_ends(bodies: Sequence[BodyDrawing]) -> FloatArray:
-    """Where sticks begin and end, ``(K, 3)`` [m]."""
+    """End points of the sticks ``(K, 3)`` [m]."""
     return np.array([end for body in bodies for end in (body.parent_origin, body.origin) if end is not None])
 
 
 def view_of(points: FloatArray) -> View:
-    """From slightly above, across the direction in which ``points (K, 3)`` spread, and turned a little for depth.
+    """View from slightly above, across the main horizontal direction of ``points (K, 3)``, turned a little for depth.
 
-    A person who faces x is seen from the front, an arm that reaches along x from its right.
+    A humanoid that faces x is seen from the front, an arm that reaches along x from its right.
     """
     level = points[:, :2] - points[:, :2].mean(axis=0)
     variances, directions = np.linalg.eigh(level.T @ level)
-    usual, azimuth = np.radians(-45.0), np.radians(-60.0)
+    default, azimuth = np.radians(-45.0), np.radians(-60.0)
     if variances[1] > 1e-3 * np.sum((points - points.mean(axis=0)) ** 2):
         across = directions[:, 0] * np.where(directions[:, 0] @ (1.0, -1.0) < 0.0, -1.0, 1.0)
-        offset = np.angle(np.exp(1j * (np.arctan2(across[1], across[0]) - usual)))
-        azimuth = usual + offset - np.clip(offset, -np.radians(25.0), np.radians(25.0))
+        offset = np.angle(np.exp(1j * (np.arctan2(across[1], across[0]) - default)))
+        azimuth = default + offset - np.clip(offset, -np.radians(25.0), np.radians(25.0))
     elevation = np.radians(16.0)
     towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -131,20 +131,20 @@ def half_widths(view: View, solid: Ellipsoid) -> FloatArray:
 
 
 def circle() -> FloatArray:
-    """Points of the unit circle ``(2, K)``, the first one again at the end."""
+    """Points of the closed unit circle ``(2, K)``."""
     angle = np.linspace(0.0, 2.0 * np.pi, 97)
     return np.array([np.cos(angle), np.sin(angle)])
 
 
 def outline(sphere_map: FloatArray) -> FloatArray:
-    """Outline ``(2, K)`` of an ellipsoid about its centre: with the map's first rows ``U S V^T``, the circle under
-    ``U S``."""
+    """Outline ``(2, K)`` of an ellipsoid about its centre: the unit circle under ``U S``, where ``U S V^T`` are the
+    first two rows of the map."""
     turn, stretch, _ = np.linalg.svd(sphere_map[:2])
     return np.asarray((turn * stretch) @ circle())
 
 
 def floor_below(points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, float]:
-    """A grid below points ``(K, 3)`` and ellipsoids: crossings ``(rows, columns, 3)``, distance of the lines [m]."""
+    """Grid below points ``(K, 3)`` and ellipsoids: crossings ``(rows, columns, 3)``, distance of the lines [m]."""
     halves = np.array([np.linalg.norm(solid.axes * solid.semi_axes, axis=1) for solid in solids]).reshape(-1, 3)
     centres = np.array([solid.centre for solid in solids]).reshape(-1, 3)
     ends = np.vstack([points, centres - halves, centres + halves])

@@ -1,4 +1,4 @@
-"""A designed motion on disk: trajectory, picture, report, and ``motion.html``, which plays it."""
+"""Files of a designed motion: trajectory, picture, report, and ``motion.html``, which animates it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from geomid_ros.types import FloatArray
 
 
 def save(found: Excitation, folder: Path) -> list[Path]:
-    """Write all files of a motion into a folder; returns their paths. Raises GeomidError naming a file."""
+    """Write all files of a motion into a folder; return their paths. Raises GeomidError naming a file."""
     make_folder(folder)
     names = ("trajectory.yaml", "trajectory.csv", "trajectory_bag", "excitation.json", "excitation.png", "motion.html")
     yaml, csv, bag, document, picture, page = (folder / name for name in names)
@@ -41,7 +41,7 @@ def save(found: Excitation, folder: Path) -> list[Path]:
 
 
 def excitation_document(found: Excitation) -> dict[str, Any]:
-    """The report of limits, margins, clearances and what is expected, for programs."""
+    """Limits, margins, clearances and expected results of a motion, for programs."""
     feasibility, margins, limits = found.task.feasibility, found.margins, found.task.feasibility.limits
     kinds = ("velocity", "acceleration", "jerk", "effort")
     posterior, learning = found.task.knowledge.posterior, found.learning
@@ -64,8 +64,8 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
             name: {
                 "error": stage.error,
                 "links": {
-                    link: dict(zip(QUANTITIES, own.tolist(), strict=True))
-                    for link, own in zip(posterior.links, stage.links, strict=True)
+                    link: dict(zip(QUANTITIES, std.tolist(), strict=True))
+                    for link, std in zip(posterior.links, stage.links, strict=True)
                 },
                 "effects": _effects(found, stage),
             }
@@ -76,15 +76,15 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
     }
 
 
-def _effects(found: Excitation, stage: Expected) -> list[dict[str, Any]]:
+def _effects(design: Excitation, stage: Expected) -> list[dict[str, Any]]:
     return [
         entry(effect, "name", "place", "parameter") | {"std": float(std)}
-        for effect, std in zip(found.task.knowledge.posterior.effects, stage.effects, strict=True)
+        for effect, std in zip(design.task.knowledge.posterior.effects, stage.effects, strict=True)
     ]
 
 
 def motion_figure(found: Excitation) -> Figure:
-    """Positions, and speeds and efforts as shares of their limits, of every joint over time."""
+    """Plot positions of every joint over time, and speeds and efforts as fractions of their limits."""
     trajectory, feasibility = found.trajectory, found.task.feasibility
     names, limits = feasibility.names, feasibility.limits
     figure = new_figure(12.0, 1.5 * len(names) + 1.0)
@@ -106,8 +106,8 @@ def motion_figure(found: Excitation) -> Figure:
 
 
 _SCRIPT = "motion.js"
-_RATE = 10.0  # [Hz] of the frames; the page goes straight from one to the next
-_DIRECTIONS = 80  # in which the corners of a shape lie that are drawn
+_RATE = 10.0  # [Hz] of the frames; the page interpolates linearly
+_DIRECTIONS = 80  # number; the farthest corner of a shape in each is drawn
 _DECIMALS = 4
 
 
@@ -132,13 +132,13 @@ def write_motion_page(path: Path, found: Excitation) -> None:
     write_page(path, "motion.html.j2", content)
 
 
-def _scene(found: Excitation) -> dict[str, Any]:
-    """What is drawn: corners of bodies in their own frames, and where these are in each frame of one period."""
-    robot, collision = found.task.knowledge.model.robot, found.task.feasibility.collision
+def _scene(design: Excitation) -> dict[str, Any]:
+    """Drawing data: corners of bodies in their frames, and the pose of each frame over one period."""
+    robot, collision = design.task.knowledge.model.robot, design.task.feasibility.collision
     shapes = collision.shapes if collision is not None else {}
     links = [link for link in robot.tree.links if link in shapes or robot.is_divided_at(link)]
-    times = np.arange(0.0, found.motion.form.period + 0.5 / _RATE, 1.0 / _RATE)
-    states = found.motion.at(times)[:3]
+    times = np.arange(0.0, design.motion.form.period + 0.5 / _RATE, 1.0 / _RATE)
+    states = design.motion.at(times)[:3]
     frames = [robot.link_frames(samples_of(states[:, [index]])) for index in range(len(times))]
     turns = np.array([[frame[link][0] for link in links] for frame in frames])
     origins = np.array([[frame[link][1] for link in links] for frame in frames])
@@ -148,7 +148,7 @@ def _scene(found: Excitation) -> dict[str, Any]:
     return {
         "positions": states[0].round(_DECIMALS).tolist(),
         "bodies": [[corners(shape.vertices).tolist() for shape in shapes.get(link, ())] for link in links],
-        "above": [_above(robot, link, links) for link in links],
+        "above": [_drawn_ancestor(robot, link, links) for link in links],
         "turns": turns.reshape(len(times), len(links), 9).round(_DECIMALS).tolist(),
         "origins": origins.round(_DECIMALS).tolist(),
         "around": [_outline(obstacle).tolist() for obstacle in (collision.obstacles if collision else ())],
@@ -157,14 +157,14 @@ def _scene(found: Excitation) -> dict[str, Any]:
     }
 
 
-def _above(robot: Robot, link: str, links: list[str]) -> int:
-    """The place of the nearest link above that is drawn; -1 for none."""
-    above: Iterator[str] = (joint.parent for joint in robot.tree.joints_above(link))
-    return next((links.index(parent) for parent in above if parent in links), -1)
+def _drawn_ancestor(robot: Robot, link: str, links: list[str]) -> int:
+    """Index of the nearest drawn ancestor of a link; -1 if there is none."""
+    ancestors: Iterator[str] = (joint.parent for joint in robot.tree.joints_above(link))
+    return next((links.index(parent) for parent in ancestors if parent in links), -1)
 
 
 def _outline(obstacle: Obstacle) -> FloatArray:
-    """Corners ``(V, 3)`` [m] of what is drawn of an obstacle."""
+    """Corners ``(V, 3)`` [m] to draw for an obstacle."""
     if not isinstance(obstacle, HalfSpace):
         return corners(obstacle.vertices)
     *_, sideways = np.linalg.svd(obstacle.normal[None])
@@ -173,7 +173,7 @@ def _outline(obstacle: Obstacle) -> FloatArray:
 
 
 def corners(vertices: FloatArray) -> FloatArray:
-    """Those of ``vertices (V, 3)`` that are farthest in some of many directions, spread over the sphere (Fibonacci)."""
+    """Select ``vertices (V, 3)`` that are farthest in one of many directions, spread over the sphere (Fibonacci)."""
     height = 1.0 - 2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(_DIRECTIONS)
     flat = np.sqrt(1.0 - height**2)

@@ -1,6 +1,6 @@
-"""``report.html``: what the gap workflow found, on one page that needs no network.
+"""``report.html``: findings of the gap workflow on one page that needs no network.
 
-Residuals are drawn against a variable, each in a small panel that a phone shows whole. They are SVG in which text stays
+Residuals are drawn against a variable, each in a panel small enough for a phone. The panels are SVG in which text stays
 text, as the content of an ``<img>``: nothing in them is ever executed.
 """
 
@@ -31,15 +31,15 @@ from geomid_ros.resimulation.resimulate import HORIZON, Kind, Resimulated
 from geomid_ros.types import FloatArray
 
 _WIDTH = 310  # [pt]
-_ROW = 58  # by which a picture is higher for each of its rows
+_ROW = 58  # height that each row adds to a picture
 _LEFT, _RIGHT, _TOP, _BOTTOM = 53, 12, 22, 33  # margins [pt]
-_FINE = 10  # units of a path to the point
+_FINE = 10  # path units per pt
 _FONT = "font-family='sans-serif' font-size='9'"
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture for the page: what it holds in words, and the picture as the address of an ``<img>``."""
+    """Picture for the page: its ``description`` in words, and its ``address`` for an ``<img>``."""
 
     description: str
     address: str
@@ -47,7 +47,7 @@ class Picture:
 
 @dataclass(frozen=True, kw_only=True)
 class _Panel:
-    """Axes from the ``top`` [pt] of a picture on, ``height`` [pt] high, between two values of ``x`` and of ``y``."""
+    """Axes ``height`` [pt] high below the ``top`` [pt] of a picture, with limits of ``x`` and of ``y``."""
 
     top: float
     height: float
@@ -59,14 +59,14 @@ class _Panel:
         return float(_WIDTH - _LEFT - _RIGHT)
 
     def places(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where values lie, in units of a path from the upper left corner."""
+        """Convert values to units of a path from the upper left corner."""
         right = _FINE * self._width * (x - self.x[0]) / (self.x[1] - self.x[0])
         down = _FINE * self.height * (self.y[1] - y) / (self.y[1] - self.y[0])
         return right, down
 
     def drawn(self, marks: Sequence[str], label: str, below: str | None, behind: str = "") -> str:
-        """The axes with marks, what stands ``behind`` their grid, a label, and one ``below`` with the numbers of x, or
-        neither."""
+        """Draw the axes: marks over a grid over ``behind``, a label, and, with ``below``, the numbers and label of
+        x."""
         width, height = _FINE * self._width, _FINE * self.height
         across, up = ticks(*self.x, 7), ticks(*self.y, 5)
         right, _ = self.places(np.array(across), np.zeros(len(across)))
@@ -88,7 +88,7 @@ class _Panel:
         return "".join(parts)
 
     def dots(self, x: FloatArray, y: FloatArray, color: str) -> str:
-        """As many of the points as are seen apart."""
+        """Draw the points, thinned to as many as can be distinguished."""
         chosen = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
         chosen = chosen[:: -(-len(chosen) // (2 * BINS)) or 1]
         size = float(np.clip(45.0 / np.sqrt(len(chosen) + 1.0), 1.3, 3.0))
@@ -97,39 +97,39 @@ class _Panel:
         return f"<path d='{path}' {style} stroke-linecap='round'/>"
 
     def band(self, half: float) -> str:
-        """Values of y up to ``half`` from zero."""
+        """Draw the band of y values up to ``half`` from zero."""
         _, (top, bottom) = self.places(np.zeros(2), np.array([half, -half]))
         return f"<rect y='{top:.0f}' width='{_FINE * self._width}' height='{bottom - top:.0f}' fill='{FLOOR}'/>"
 
 
 def residual_picture(page: GapPage, channel: int) -> Picture:
-    """A channel's residual without the named effects against what it depends on most, with what these explain of it,
-    and below it what is left of it; only the latter where nothing was named."""
+    """Draw the residual of a channel against the variable that it depends on most: above, without the named effects,
+    and their contribution; below, the remaining residual. Without named effects, draw only the latter."""
     result, trace, rigid = page.result, page.result.trace, page.rigid[:, channel]
     missing, fitted = trace.measured[:, channel] - rigid, trace.after[:, channel] - rigid
     floor, (variable, variable_unit, values) = float(result.floor[channel]), _variable(page, channel)
     rows = [("left", missing - fitted, INK)]
-    left = "the remaining residual"
+    caption = "the remaining residual"
     if np.any(fitted):
         rows = [("missing", missing, BEFORE), *rows]
-        left = f"above, the residual of the model with corrected inertias, and what the findings explain; {left}"
-    whole = 144 + _ROW * len(rows)
-    height = (whole - _TOP - _BOTTOM + 8.0) / len(rows) - 8.0
+        caption = f"above, the residual of the model with corrected inertias, and what the findings explain; {caption}"
+    total = 144 + _ROW * len(rows)
+    height = (total - _TOP - _BOTTOM + 8.0) / len(rows) - 8.0
     limits = _limits(np.concatenate([missing, fitted]), floor)
     panel = _Panel(top=_TOP, height=height, x=_span(values), y=limits)
-    drawn = []
-    for name, own, color in rows:
+    panels = []
+    for name, residual, color in rows:
         is_last = name == "left"
-        marks = [panel.dots(values, own, color)] + ([] if is_last else [panel.dots(values, fitted, IDENTIFIED)])
+        marks = [panel.dots(values, residual, color)] + ([] if is_last else [panel.dots(values, fitted, IDENTIFIED)])
         below = f"{variable} [{variable_unit}]" if is_last else None
-        drawn.append(panel.drawn(marks, f"{name} [{result.units[channel]}]", below, panel.band(2.0 * floor)))
+        panels.append(panel.drawn(marks, f"{name} [{result.units[channel]}]", below, panel.band(2.0 * floor)))
         panel = replace(panel, top=panel.top + height + 8.0)
     title = f"{result.channels[channel]} against {variable}"
-    return _picture(title, f"Residual of {title}: {left}.", whole, drawn)
+    return _picture(title, f"Residual of {title}: {caption}.", total, panels)
 
 
 def _limits(values: FloatArray, floor: float) -> tuple[float, float]:
-    """All but the outermost values, and at least the floor's band."""
+    """Limits that contain all but the outermost values, and at least the band of the floor."""
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, (0.3, 99.7)) if len(finite) else (0.0, 0.0)
     low, high = min(low, -2.5 * floor), max(high, 2.5 * floor)
@@ -138,7 +138,7 @@ def _limits(values: FloatArray, floor: float) -> tuple[float, float]:
 
 
 def _span(values: FloatArray) -> tuple[float, float]:
-    """From the smallest to the largest of the numbers among values, and a margin."""
+    """Limits from the smallest to the largest finite value, with a margin."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     margin = max(0.03 * (high - low), 1e-3 * max(abs(low), abs(high), 1.0))
@@ -149,19 +149,19 @@ def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
     return f"<text x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}' fill='{INK}'>{escape(text)}</text>"
 
 
-def _picture(title: str, description: str, height: float, drawn: Sequence[str]) -> Picture:
-    """A picture ``height`` [pt] high of what is drawn."""
+def _picture(title: str, description: str, height: float, panels: Sequence[str]) -> Picture:
+    """Assemble a picture ``height`` [pt] high from its panels."""
     shortened = title if len(title) <= 52 else f"{title[:22]}…{title[-28:]}"
     size = f"width='{_WIDTH}pt' height='{height}pt' viewBox='0 0 {_WIDTH} {height}'"
     text = (
         f"<svg xmlns='http://www.w3.org/2000/svg' {size} {_FONT}><rect width='100%' height='100%' fill='#fff'/>"
-        f"<g font-size='10' font-weight='bold'>{_text(6, 13, shortened, 'start')}</g>{''.join(drawn)}</svg>"
+        f"<g font-size='10' font-weight='bold'>{_text(6, 13, shortened, 'start')}</g>{''.join(panels)}</svg>"
     )
     return Picture(description, f"data:image/svg+xml;base64,{base64.b64encode(text.encode()).decode()}")
 
 
-_MOST_CHANNELS = 6  # whose remainder is drawn
-_CHANGED = 0.01  # geodesic distance from which on a link's inertia has changed
+_MOST_CHANNELS = 6  # with a residual picture
+_CHANGED = 0.01  # geodesic distance beyond which a link's inertia counts as changed
 _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
 
 _WINDOWS = (
@@ -176,16 +176,16 @@ _SIMULATIONS: Mapping[Kind, tuple[str, str]] = {
     "windows": ("Forward in short windows", _WINDOWS),
     "closed_loop": ("In closed loop", _CLOSED_LOOP),
 }
-"""Title, and how it was simulated, by kind."""
+"""Title and description of the simulation, by kind."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GapPage:
-    """What the page is made of.
+    """Content of the page.
 
-    ``file`` is what ``gap.json`` says, ``result`` the same with samples if there are any. ``rigid (N, channels)`` is
-    what the final model predicts on the trace without any named effect. ``joints`` with ``units`` (rad or m) of their
-    positions name the columns of the trace's motion. ``simulated`` are simulations.
+    ``file`` is the content of ``gap.json``, ``result`` the same with samples if there are any. ``rigid (N, channels)``
+    are the predictions of the final model on the trace without any named effect. ``joints``, with the ``units`` (rad or
+    m) of their positions, name the columns of the trace's motion. ``simulated`` are resimulations.
     """
 
     file: GapFile
@@ -210,15 +210,15 @@ def _content(page: GapPage) -> dict[str, Any]:
         "bars": _bars(result),
         "kinds": _KINDS,
         "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else page.file.judged_seconds,
-        "residuals": [residual_picture(page, channel) for channel in _telling_channels(result)],
+        "residuals": [residual_picture(page, channel) for channel in _channels_to_draw(result)],
         "traces": _traces(result),
         "simulations": [
-            (*_SIMULATIONS[again.kind], _simulation_bars(again), traces(_worst_joints(page, again)))
-            for again in page.simulated
+            (*_SIMULATIONS[simulation.kind], _simulation_bars(simulation), traces(_worst_joints(page, simulation)))
+            for simulation in page.simulated
         ],
         "located": _located(result),
         "links": list(_links(page)),
-        "old": partial(_old, page.file.known),
+        "old": partial(_value_before, page.file.known),
         "script": Script.read(SCRIPT),
     }
 
@@ -233,15 +233,15 @@ def _bars(result: GapResult) -> Bars:
     )
 
 
-def _simulation_bars(again: Resimulated) -> Bars:
-    return Bars.of_gaps((name, "", {"before": old, "after": again.after[name]}) for name, old in again.before.items())
+def _simulation_bars(run: Resimulated) -> Bars:
+    return Bars.of_gaps((name, "", {"before": rms, "after": run.after[name]}) for name, rms in run.before.items())
 
 
 # --- Which channels, against what ---
 
 
-def _telling_channels(result: GapResult) -> list[int]:
-    """Channels whose remainder is worth a look: where something was named or is missing, then where most improved."""
+def _channels_to_draw(result: GapResult) -> list[int]:
+    """Channels whose residual is drawn: those with named or missing effects, then the most improved ones."""
     if result.verdict == "no gap" or not len(result.trace.stamps):
         return []
     places = [finding.joint for finding in result.findings] + [entry.joint for entry in result.unexplained]
@@ -252,7 +252,7 @@ def _telling_channels(result: GapResult) -> list[int]:
 
 
 def _located(result: GapResult) -> list[Located]:
-    """Where the gap lives, for channels in which inertias leave one."""
+    """Fractions of the gap that variables explain, for channels where corrected inertias leave a gap."""
     gaps = dict(zip(result.channels, result.gap.inertias_only, strict=True))
     return [
         entry for entry in result.located if gaps.get(entry.channel, 0.0) > GAP_ABOVE and math.isfinite(entry.velocity)
@@ -260,24 +260,24 @@ def _located(result: GapResult) -> list[Located]:
 
 
 def _variable(page: GapPage, channel: int) -> tuple[str, str, FloatArray]:
-    """The variable that the channel's residual depends on most: its name, its unit and its values ``(N,)``."""
+    """Variable that the channel's residual depends on most: its name, its unit and its values ``(N,)``."""
     result, trace, name = page.result, page.result.trace, page.result.channels[channel]
     variables = {"load": (result.units[channel], trace.load[:, channel]), "time": ("s", elapsed(trace.stamps))}
-    others = [entry.depends_on for entry in result.unexplained if is_of(name, entry.joint)]
-    for joint in [name, *others]:
+    other_joints = [entry.depends_on for entry in result.unexplained if is_of(name, entry.joint)]
+    for joint in [name, *other_joints]:
         if joint in page.joints:
-            column, of = page.joints.index(joint), "" if joint == name else f" of {joint}"
+            column, suffix = page.joints.index(joint), "" if joint == name else f" of {joint}"
             unit = page.units[column]
-            variables[f"position{of}"] = (unit, trace.position[:, column])
-            variables[f"velocity{of}"] = (f"{unit}/s", trace.velocity[:, column])
+            variables[f"position{suffix}"] = (unit, trace.position[:, column])
+            variables[f"velocity{suffix}"] = (f"{unit}/s", trace.velocity[:, column])
     shares = next((vars(entry) for entry in result.located if entry.channel == name), {})
-    unexplained = next((v for other in others for v in (other, f"velocity of {other}") if v in variables), None)
+    unexplained = next((v for other in other_joints for v in (other, f"velocity of {other}") if v in variables), None)
     chosen = unexplained or max(variables, key=lambda variable: np.nan_to_num(shares.get(variable, 0.0)))
     return (chosen, *variables[chosen])
 
 
 def _traces(result: GapResult) -> list[ChannelTrace]:
-    """Measured channels over time, the worst before first."""
+    """Measured channels over time, those with the largest gap before first."""
     trace, times = result.trace, elapsed(result.trace.stamps)
     order = np.argsort(-np.nan_to_num(result.gap.before), kind="stable").tolist()
     measured = [k for k in order if np.any(np.isfinite(trace.measured[:, k]))][:MOST_DRAWN]
@@ -287,28 +287,28 @@ def _traces(result: GapResult) -> list[ChannelTrace]:
     )
 
 
-def _worst_joints(page: GapPage, again: Resimulated) -> list[Series]:
-    """Efforts of joints whose simulation was judged, the worst before first; recordings one after the other."""
-    if not again.efforts:
+def _worst_joints(page: GapPage, simulation: Resimulated) -> list[Series]:
+    """Efforts of the compared joints in a simulation, the worst before first; recordings are concatenated."""
+    if not simulation.efforts:
         return []
-    starts = np.cumsum([0.0, *(np.ptp(part.times) for part in again.efforts)])
-    times = np.concatenate([part.times + start for part, start in zip(again.efforts, starts, strict=False)])
+    starts = np.cumsum([0.0, *(np.ptp(part.times) for part in simulation.efforts)])
+    times = np.concatenate([part.times + start for part, start in zip(simulation.efforts, starts, strict=False)])
     measured, before, after = (
-        np.concatenate([getattr(part, kind) for part in again.efforts]) for kind in ("measured", "before", "after")
+        np.concatenate([getattr(part, kind) for part in simulation.efforts]) for kind in ("measured", "before", "after")
     )
-    judged = [
+    compared = [
         Series(name, page.result.units[k], times, measured[:, k], before[:, k], after[:, k])
         for k, name in enumerate(page.joints)
-        if name in again.before
+        if name in simulation.before
     ]
-    return sorted(judged, key=lambda series: -again.before[series.name])[:MOST_DRAWN]
+    return sorted(compared, key=lambda series: -simulation.before[series.name])[:MOST_DRAWN]
 
 
 # --- The model file ---
 
 
-def _old(known: Sequence[KnownEffect], finding: Finding, parameter: str) -> str:
-    """What the model said of a finding's parameter before."""
+def _value_before(known: Sequence[KnownEffect], finding: Finding, parameter: str) -> str:
+    """Value of a finding's parameter in the model before."""
     for effect in known:
         if (effect.effect, effect.joint) == (finding.effect, finding.joint) and parameter in effect.parameters:
             return gap_words.measured(effect.parameters[parameter])
@@ -316,7 +316,7 @@ def _old(known: Sequence[KnownEffect], finding: Finding, parameter: str) -> str:
 
 
 def _links(page: GapPage) -> Iterator[dict[str, Any]]:
-    """Of every body: name, old and new mass, centre of mass and central inertia, and the distance between the two."""
+    """Yield for every body name, old and new mass, centre of mass and central inertia, and the distance of the two."""
     for name, old, new in zip(page.result.bodies, page.file.nominal, page.result.inertias, strict=True):
         pseudo = pseudo_inertia.from_parameters(np.array([old, new]))
         distance = float(spd.distance(pseudo[0], pseudo[1]))
@@ -326,6 +326,6 @@ def _links(page: GapPage) -> Iterator[dict[str, Any]]:
 def _body(parameters: FloatArray) -> dict[str, Any]:
     return {
         "mass": float(parameters[0]),
-        "com": np.round(1e3 * pseudo_inertia.centre_of_mass(parameters), 1) + 0.0,  # no minus before a zero
+        "com": np.round(1e3 * pseudo_inertia.centre_of_mass(parameters), 1) + 0.0,  # + 0: no negative zero
         "inertia": np.diag(pseudo_inertia.central_inertia(parameters)),
     }

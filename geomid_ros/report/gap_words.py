@@ -1,5 +1,5 @@
-"""What the gap workflow found as a whole, in words: the same in the terminal as on the page. The sentence of each
-finding is in :mod:`geomid_ros.gap.judgement.sentences`."""
+"""Summary of the gap workflow in words, the same in the terminal and on the page. The sentence of each finding is in
+:mod:`geomid_ros.gap.judgement.sentences`."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from geomid_ros.types import FloatArray
 
 NONE = "n/a"
 MOST_LISTED = 3
-"""Parts of a sentence that lists, findings that get a sentence each, and rivals that are compared with."""
+"""Largest number of listed parts in a sentence, of findings with a sentence each, and of compared rivals."""
 MOST_CANDIDATES = 8
-"""Candidates in a table, the best first."""
+"""Largest number of candidates in a table, the best first."""
 _NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "imu": "IMU"}
 _VARIABLES = {
     "position": "its position",
@@ -47,46 +47,46 @@ CONFIDENCE: dict[Confidence, str] = {
 
 
 def effect_name(effect: str) -> str:
-    """An effect as it is written in a sentence: ``Coulomb friction``."""
+    """Name of an effect within a sentence: ``Coulomb friction``."""
     return " ".join(_NAMES.get(word, word) for word in effect.split("_"))
 
 
 def headline(effect: str) -> str:
-    """An effect as a heading begins."""
+    """Name of an effect at the beginning of a heading."""
     name = effect_name(effect)
     return name[:1].upper() + name[1:]
 
 
 def place(joint: str, link: str = "") -> str:
-    """Where an effect acts, as the end of a sentence."""
+    """Place where an effect acts, as the end of a sentence."""
     return f"on {link}" if link else f"at {joint}" if joint else "of the whole robot"
 
 
 def title(entry: KnownEffect | Rival | Ranked) -> str:
-    """An effect with where it acts."""
+    """Name of an effect with its place."""
     return f"{headline(entry.effect)} {place(entry.joint, getattr(entry, 'link', ''))}"
 
 
 def ratio(value: float) -> str:
-    """A gap in units of the floor."""
+    """Format a gap in units of the noise floor."""
     if not math.isfinite(value):
         return NONE
     return f"{value:.2f}" if value < 9.995 else f"{value:.1f}" if value < 99.95 else f"{value:.0f}"
 
 
 def percent(share: float) -> str:
-    """A share, 0 to 1."""
+    """Format a fraction, 0 to 1, as a percentage."""
     return f"{100.0 * share:.0f} %" if math.isfinite(share) else NONE
 
 
 def _decimals(std: float, value: float) -> int:
-    """Decimals that show two digits of the standard deviation, or four of the value where there is none."""
+    """Decimals for two digits of the standard deviation, or four of the value if there is none."""
     size, digits = (std, 2) if math.isfinite(std) and std > 0.0 else (abs(value), 4)
     return int(np.clip(digits - 1 - math.floor(math.log10(size)), 0, 9)) if math.isfinite(size) and size > 0.0 else 0
 
 
 def measured(quantity: Quantity) -> str:
-    """A value with its standard deviation, if it was estimated, and unit."""
+    """Format a value with unit and, if it was estimated, standard deviation."""
     if quantity.std == 0.0:
         return f"{quantity.value:g} {quantity.unit}".removesuffix(" -")
     decimals = _decimals(quantity.std, quantity.value)
@@ -95,18 +95,18 @@ def measured(quantity: Quantity) -> str:
 
 
 def measured_angle(quantity: Quantity) -> str:
-    """The same; angles within a turn in degrees as well."""
+    """Format a value as :func:`measured` does; angles within one turn also in degrees."""
     small = quantity.unit == "rad" and abs(quantity.value) < 2.0 * math.pi
     return measured(quantity) + (f" ({math.degrees(quantity.value):.3g}°)" if small else "")
 
 
 def compared(rival: Rival) -> str:
-    """Another name, and by how much its score is worse, or better: a name that unseen data did not confirm."""
+    """Describe a rival, and by how much its score is worse; or better, if unseen data did not confirm it."""
     return f"{title(rival)} ({'worse' if rival.loss >= 0.0 else 'better'} by {abs(rival.loss):.1f})"
 
 
 def interval(quantity: Quantity) -> str:
-    """Where the true value lies with 95 % probability; nowhere else than it is, of a constant."""
+    """95 % interval of the true value; :data:`NONE` for a constant, or if the standard deviation is infinite."""
     if not 0.0 < quantity.std < math.inf:
         return NONE
     decimals, half = _decimals(quantity.std, quantity.value), STDS_OF_95 * quantity.std
@@ -114,17 +114,17 @@ def interval(quantity: Quantity) -> str:
 
 
 def worst(values: FloatArray) -> float:
-    """The largest gap of channels that were measured."""
+    """Largest gap among the measured channels."""
     return float(np.max(values, where=np.isfinite(values), initial=0.0))
 
 
 def dependence(entry: Unexplained) -> str:
-    """On what an unexplained remainder depends."""
+    """Describe the variable that an unexplained remainder depends on."""
     return _VARIABLES.get(entry.depends_on, f"the motion of {entry.depends_on}")
 
 
 def verdict_sentence(result: GapResult) -> str:
-    """The verdict in one sentence, and what was not judged in another one."""
+    """State the verdict in one sentence, and the channels that could not be tested in another."""
     aside = f" Not judged: {_listed(result.unjudged)}; hold out more, or a faster motion." if result.unjudged else ""
     return _verdict(result) + aside
 
@@ -138,21 +138,21 @@ def _verdict(result: GapResult) -> str:
             return f"No gap found: {_left(result)}."
         return f"No effect is missing. Corrected link inertias close the gap: {_fall(result)}."
     if result.verdict == "named":
-        each: list[Finding | LinkChange] = [*result.findings, *result.links]
-        if not any(one.confidence == "confident" for one in each):
+        parts: list[Finding | LinkChange] = [*result.findings, *result.links]
+        if not any(part.confidence == "confident" for part in parts):
             return f"Found: {named}. Nothing of it is sure: the written model is as it was."
-        return f"Found: {named}. With {'it' if len(each) == 1 else 'them'}, {_fall(result)}."
+        return f"Found: {named}. With {'it' if len(parts) == 1 else 'them'}, {_fall(result)}."
     if result.verdict == "incomplete":
         rest = f" A residual remains {missing}." if missing else ""
         return f"Found: {named or 'no effect'}.{rest}"
-    found = f" Also found: {named}." if named else ""
-    return f"No known effect explains the residual {missing or 'of several joints'}.{found}"
+    also = f" Also found: {named}." if named else ""
+    return f"No known effect explains the residual {missing or 'of several joints'}.{also}"
 
 
 def _left(result: GapResult) -> str:
-    """What is left where there is no gap: at the instants that are judged, and at all."""
-    moving, whole = ratio(worst(result.moving)), ratio(worst(result.gap.after))
-    when = f" while joints move ({whole} with rest and reversals)" if moving != whole else ""
+    """Describe the gap that remains while joints move, and over all held-out samples, if the verdict is no gap."""
+    moving, overall = ratio(worst(result.moving)), ratio(worst(result.gap.after))
+    when = f" while joints move ({overall} with rest and reversals)" if moving != overall else ""
     if worst(result.moving) <= GAP_ABOVE:
         return f"the model explains the measurement to within {moving} times the noise floor{when}"
     reason = "which the uncertainty of the model, or what it is known to lack, explains"
@@ -160,59 +160,59 @@ def _left(result: GapResult) -> str:
 
 
 def _fall(result: GapResult) -> str:
-    """How far the gap of the channel falls that is helped most."""
+    """Describe the reduction of the gap in the channel that improves most."""
     before, after = result.gap.before, result.gap.after
-    place = int(np.argmax(np.nan_to_num(before / after)))
-    was, left, moving = (ratio(float(each[place])) for each in (before, after, result.moving))
-    aside = f" ({moving} while joints move)" if moving not in (left, NONE) else ""
-    return f"the gap of {result.channels[place]} falls from {was} to {left} times the noise floor{aside}"
+    channel = int(np.argmax(np.nan_to_num(before / after)))
+    initial, remaining, moving = (ratio(float(gaps[channel])) for gaps in (before, after, result.moving))
+    aside = f" ({moving} while joints move)" if moving not in (remaining, NONE) else ""
+    return f"the gap of {result.channels[channel]} falls from {initial} to {remaining} times the noise floor{aside}"
 
 
-def _missing(left: Sequence[tuple[str, float, str]]) -> str:
-    """Where something is unexplained; on what it depends, too, where that is one joint."""
-    where = f"at {_listed([joint for joint, *_ in left])}" if left else ""
-    return f"{where}, which depends on {left[0][2]}" if len(left) == 1 else where
+def _missing(remainders: Sequence[tuple[str, float, str]]) -> str:
+    """Describe where something is unexplained; for a single joint also what it depends on."""
+    where = f"at {_listed([joint for joint, *_ in remainders])}" if remainders else ""
+    return f"{where}, which depends on {remainders[0][2]}" if len(remainders) == 1 else where
 
 
 def of_every_joint(result: GapResult) -> list[str]:
-    """The effects of the written model that need no name, in a sentence; none without such."""
+    """List the effects in the written model that every joint has, in a sentence; empty if there are none."""
     kinds = ", ".join(dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary))
     return [f"Also written, as every joint has them: {kinds} (values in effects.yaml)."] if kinds else []
 
 
 def in_short(result: GapResult) -> list[str]:
-    """What a person reads first, at most four sentences beside the verdict's: what is sure and how large it is, what
-    else there may be, what is left, and what to do."""
+    """Summarise the result in at most four sentences after the verdict: sure effects with their sizes, possible
+    effects, the unexplained remainder, and the next recording."""
     gains = _common_gain(result)
     named: list[Finding | LinkChange] = [*(f for f in result.findings if f not in gains), *result.links]
-    named.sort(key=lambda each: -each.loss)
-    said = [(each.confidence, _sized(each) if isinstance(each, Finding) else each.sentence) for each in named]
+    named.sort(key=lambda part: -part.loss)
+    lines = [(part.confidence, _sized(part) if isinstance(part, Finding) else part.sentence) for part in named]
     if gains:
         sure = all(finding.confidence == "confident" for finding in gains)
         low, *_, high = sorted(finding.parameters["gain"].value for finding in gains)
-        what = f"efforts of all joints {low:.3g} to {high:.3g} times as large"
-        said.insert(0, ("confident" if sure else "tentative", what))
-    left = [f"{joint} {ratio(times)} times the floor, depends on {on}" for joint, times, on in not_explained(result)]
+        phrase = f"efforts of all joints {low:.3g} to {high:.3g} times as large"
+        lines.insert(0, ("confident" if sure else "tentative", phrase))
+    rest = [f"{joint} {ratio(times)} times the floor, depends on {on}" for joint, times, on in not_explained(result)]
     record = to_record(result)
     sentences = {
-        "Sure": _few([what for confidence, what in said if confidence == "confident"]),
-        "Possible": _few([what for confidence, what in said if confidence != "confident"]),
-        "Unexplained": "; ".join(left),
+        "Sure": _few([phrase for confidence, phrase in lines if confidence == "confident"]),
+        "Possible": _few([phrase for confidence, phrase in lines if confidence != "confident"]),
+        "Unexplained": "; ".join(rest),
         "Record next": f"{record[0]}{_more(len(record) - 1)}" if record else "",
     }
     return [f"{about}: {sentence}." for about, sentence in sentences.items() if sentence]
 
 
 def _common_gain(result: GapResult) -> list[Finding]:
-    """The gains of all joints' efforts, if they are alike: three standard deviations from their mean at most."""
-    found = {f.joint: f for f in result.findings if effect_class(f.effect).scales_measurement}
-    gains = [finding.parameters["gain"] for finding in found.values()]
-    joints = result.channels[: result.trace.position.shape[1]]  # their efforts come before wrenches
-    if len(gains) < 2 or set(joints) - set(found):
+    """Effort gains of all joints if they are equal within three standard deviations of their mean; else empty."""
+    by_joint = {f.joint: f for f in result.findings if effect_class(f.effect).scales_measurement}
+    gains = [finding.parameters["gain"] for finding in by_joint.values()]
+    joints = result.channels[: result.trace.position.shape[1]]  # effort channels come before wrench channels
+    if len(gains) < 2 or set(joints) - set(by_joint):
         return []
     values, weights = np.array([gain.value for gain in gains]), 1.0 / np.square([gain.std for gain in gains])
-    off = np.abs(values - np.average(values, weights=weights)) * np.sqrt(weights)
-    return list(found.values()) if np.all(off < TOLD) else []
+    deviations = np.abs(values - np.average(values, weights=weights)) * np.sqrt(weights)
+    return list(by_joint.values()) if np.all(deviations < TOLD) else []
 
 
 def _few(parts: Sequence[str]) -> str:
@@ -224,20 +224,20 @@ def _more(count: int) -> str:
 
 
 def _sized(finding: Finding) -> str:
-    """An effect with its place and its first parameter, and what that was, of several of one kind the one that is
-    farthest from nothing; or a payload's first moment."""
+    """Describe an effect with its place, its first parameter and the former value; of several parameters of one kind
+    the most significant one. For a payload of unidentified mass, give the first moment."""
     if finding.moment:
         return f"{title(finding)} {', '.join(f'{name} {measured(q)}' for name, q in finding.moment.items())}"
     count = effect_class(finding.effect).count
     sizes = list(finding.parameters.items())[: max(count, 1)]
     name, quantity = max(sizes, key=lambda size: abs(size[1].value) / size[1].std if size[1].std > 0.0 else np.inf)
-    was = f" instead of {finding.was[name]:.4g}" if name in finding.was else ""
-    which = f"{name.replace('_', ' ')} " if count > 1 else ""
-    return f"{title(finding)} {which}{measured(quantity)}{was}"
+    former = f" instead of {finding.was[name]:.4g}" if name in finding.was else ""
+    label = f"{name.replace('_', ' ')} " if count > 1 else ""
+    return f"{title(finding)} {label}{measured(quantity)}{former}"
 
 
 def not_explained(result: GapResult) -> list[tuple[str, float, str]]:
-    """Each joint with something unexplained, how many times the floor it is, and all that it depends on."""
+    """List joints with an unexplained remainder, its size in noise floors, and all variables that it depends on."""
     variables: dict[str, list[str]] = {}
     for entry in result.unexplained:
         variables.setdefault(entry.joint, []).append(dependence(entry))
@@ -246,7 +246,7 @@ def not_explained(result: GapResult) -> list[tuple[str, float, str]]:
 
 
 def _named(result: GapResult) -> str:
-    """The findings, each effect once with all places where it acts, of many the surest; and the links that changed."""
+    """List each effect once with all its places, or of many effects the most certain ones; and the changed links."""
     findings, changed = result.findings, [f"a change of link '{change.link}'" for change in result.links]
     if len(findings) > MOST_LISTED:
         first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:MOST_LISTED]]
@@ -262,12 +262,12 @@ def _listed(parts: Sequence[str]) -> str:
 
 
 def to_record(result: GapResult) -> list[str]:
-    """What to record next, each with what it is for; empty when nothing is open."""
+    """List the motions to record next, each with its purpose; empty if nothing is open."""
     purposes: dict[str, list[str]] = {}
     for finding in result.findings:
         if finding.settled_by:
-            named = f"{effect_name(finding.effect)} {place(finding.joint, finding.link)}"
-            purposes.setdefault(finding.settled_by, []).append(named)
+            effect = f"{effect_name(finding.effect)} {place(finding.joint, finding.link)}"
+            purposes.setdefault(finding.settled_by, []).append(effect)
     for entry in result.unexplained:
         motion = _RECORD.get(entry.depends_on, f"the joint alone, then {entry.depends_on} alone, then both")
         purposes.setdefault(motion, []).append(f"the residual at {entry.joint}")

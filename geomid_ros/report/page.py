@@ -1,4 +1,4 @@
-"""What pages share: the frame that they are written in, tables of bars, numbers, and what is drawn as SVG."""
+"""Common parts of the pages: templates, tables of bars, numbers, and SVG paths."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ def write_page(path: Path, template: str, content: Mapping[str, Any]) -> None:
 
 
 def rendered_page(template: str, content: Mapping[str, Any]) -> str:
-    """A page, all of whose content is escaped.
+    """Render a page; all its content is escaped.
 
     Args:
         template: name of its template in this folder.
-        content: what the template shows.
+        content: values that the template shows.
     """
     return _templates().get_template(template).render(colors=_COLORS, **content)
 
 
 @cache
 def _templates() -> Environment:
-    """Those of this folder. They are kept: to compile one takes longer than to fill it in."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 of pages alone
+    """Templates of this folder, cached because compiling one takes longer than rendering it."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 only pages need it
 
     environment = Environment(
         loader=FileSystemLoader(_FOLDER),
@@ -68,7 +68,7 @@ def _templates() -> Environment:
 
 
 def _breakable(name: str) -> Markup:
-    """A name whose lines may end behind an underscore, and not in the midst of a word, where a column is narrow."""
+    """Allow line breaks after the underscores of a name, so that a narrow column does not break it within a word."""
     from markupsafe import Markup, escape  # noqa: PLC0415 as above
 
     return escape(name).replace("_", Markup("_<wbr>"))
@@ -76,27 +76,27 @@ def _breakable(name: str) -> Markup:
 
 @dataclass(frozen=True)
 class Script:
-    """A script of this package as it stands on a page: its ``text``, and the ``hash`` by which the page's policy lets
-    it run and no other."""
+    """Script of this package on a page: its ``text``, and the ``hash`` by which the page's content security policy
+    permits only this script."""
 
     text: str
     hash: str
 
     @staticmethod
     def read(name: str) -> Script:
-        """The script of this name in this folder."""
+        """Read a script in this folder."""
         text = (_FOLDER / name).read_text(encoding="utf-8")
         return Script(text, f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}")
 
 
 Bar = tuple[str, float]
-"""What is written beside a bar, and the bar's length in percent of the axis."""
+"""Text beside a bar, and the bar's length in percent of the axis."""
 
 
 @dataclass(frozen=True)
 class Bars:
-    """Bars for a table: ``rows`` of a name, a note and bars by kind; ``ticks`` of the axis are labels and where they
-    are, in percent of its length; ``heading`` of what is written beside the bars."""
+    """Bars of a table: ``rows`` of name, note and bars by kind; ``ticks`` of the axis as labels and positions in
+    percent of its length; ``heading`` of the column of texts beside the bars."""
 
     rows: Sequence[tuple[str, str, Mapping[str, Bar]]]
     ticks: Sequence[tuple[str, float]]
@@ -104,7 +104,7 @@ class Bars:
 
     @staticmethod
     def of_gaps(rows: Iterable[tuple[str, str, Mapping[str, float]]]) -> Bars:
-        """Bars from 1 (the floor) on, logarithmic, on an axis on which the longest has room."""
+        """Logarithmic bars that begin at 1 (the floor), on an axis that fits the longest."""
         rows = list(rows)
         largest = max((v for _, _, values in rows for v in values.values() if math.isfinite(v)), default=0.0)
         end = max(2.0, 1.1 * largest)
@@ -124,32 +124,32 @@ _ROUND = np.array([1.0, 2.0, 2.5, 5.0, 10.0])
 
 
 def round_step(least: float) -> float:
-    """The smallest round number that is not less."""
+    """Smallest round number that is not less than ``least``."""
     power = 10.0 ** np.floor(np.log10(least))
     return float(power * _ROUND[np.searchsorted(_ROUND, 0.999 * least / power)])
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """Round numbers at equal distances between two ends, of which they leave ``most`` intervals or fewer."""
+    """Round numbers at equal distances between two ends, at most ``most`` intervals."""
     step = round_step((high - low) / most)
-    whole = np.arange(np.ceil(low / step), np.floor(high / step) + 1.0)
-    found: list[float] = (step * whole + 0.0).tolist()  # + 0: zero has no sign
-    return found
+    multiples = np.arange(np.ceil(low / step), np.floor(high / step) + 1.0)
+    values: list[float] = (step * multiples + 0.0).tolist()  # + 0: zero has no sign
+    return values
 
 
-_FAR = 1e5  # units of a path beyond which nothing is drawn
+_FAR = 1e5  # [units of a path] coordinates are clipped there
 
 
 def line_path(x: FloatArray, y: FloatArray) -> str:
-    """The path of a line in whole units that is broken where it is NaN."""
+    """Path of a line in integer units, broken at NaN."""
     breaks = np.flatnonzero(np.isnan(x) | np.isnan(y))
     runs = np.split(np.column_stack([x, y]), breaks)
-    known = (run[np.all(np.isfinite(run), axis=1)] for run in runs)
-    return "".join("M" + " ".join(map(str, _whole(run).ravel().tolist())) for run in known if len(run))
+    finite = (run[np.all(np.isfinite(run), axis=1)] for run in runs)
+    return "".join("M" + " ".join(map(str, _whole(run).ravel().tolist())) for run in finite if len(run))
 
 
 def dots_path(x: FloatArray, y: FloatArray) -> str:
-    """The path of dots in whole units, to be drawn with round ends; none where a value is NaN."""
+    """Path of dots in integer units, to be drawn with round ends; values with NaN are left out."""
     dots = np.column_stack([x, y])
     places = _whole(dots[np.all(np.isfinite(dots), axis=1)])
     return "".join(f"m{right} {down}h0" for right, down in np.diff(places, axis=0, prepend=0).tolist())
@@ -160,7 +160,7 @@ def _whole(values: FloatArray) -> IntArray:
 
 
 def number(value: float) -> str:
-    """Three digits, with an exponent only where it is shorter."""
+    """Format with three digits, and an exponent only where that is shorter."""
     if not np.isfinite(value):
         return NONE
     if value == 0.0:

@@ -1,6 +1,6 @@
-"""Pictures, and the sheet to draw on: its size and colours, places on it in inches from its top left corner, and text.
+"""Pictures, and the layout of the figure: its size and colours, places in inches from its top left corner, and text.
 
-A prior made from shapes is drawn with the ellipsoids that move as the links do; of sampled robots, the torques are.
+Priors made from shapes are drawn with the ellipsoids of the same inertias, and sampled robots by their torques.
 """
 
 from __future__ import annotations
@@ -36,34 +36,34 @@ SIZE = (17.0, 10.0)  # [inch]
 ROBOT: Place = (0.25, 0.95, 9.25, 8.35)
 CHANNELS: Place = (10.15, 1.30, 6.60, 8.00)
 
-_COMPRESSION = 3  # of PNGs: with 6, writing takes half as long again, for files a tenth smaller
+_COMPRESSION = 3  # PNG level; 6 takes half as long again for files a tenth smaller
 
 
 def write_picture(path: Path, figure: Figure) -> None:
-    """Write a figure as the PNG ``path``, which appears whole or not at all."""
+    """Write a figure as the PNG ``path``, completely or not at all."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": _COMPRESSION})
     write_bytes(path, buffer.getvalue())
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """A white figure of this size [inch]."""
+    """Create a white figure of this size [inch]."""
     figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
 
 def add_axes(figure: Figure, place: Place, share: Axes | None = None) -> Axes:
-    """Axes at a place; they ``share`` the x axis of others."""
+    """Add axes at a place; they ``share`` the x axis of others."""
     left, top, width, height = place
     rectangle = (left / SIZE[0], 1.0 - (top + height) / SIZE[1], width / SIZE[0], height / SIZE[1])
     axes = figure.add_axes(rectangle, sharex=share)
-    axes.set_title("", y=1.0)  # else all ticks are laid out once more to find a place for a title
+    axes.set_title("", y=1.0)  # avoids a second layout of all ticks to place a title
     return axes
 
 
 def add_area(figure: Figure, place: Place) -> Axes:
-    """Axes without a frame whose coordinates are inches from the top left corner."""
+    """Add axes without a frame whose coordinates are inches from the top left corner."""
     axes = add_axes(figure, place)
     axes.set_axis_off()
     axes.set_xlim(0.0, place[2])
@@ -82,58 +82,58 @@ def add_text(
     ha: str = "left",
     va: str = "center",
 ) -> None:
-    """Text at (x, y) inches from the top left corner of a figure or an area; a dollar sign is no formula."""
+    """Add text at (x, y) inches from the top left corner of a figure or an area; dollar signs are literal."""
     if isinstance(where, Figure):
         x, y = x / SIZE[0], 1.0 - y / SIZE[1]
     where.text(x, y, one_line(text), size=size, color=color, weight=weight, ha=ha, va=va, zorder=5.0, parse_math=False)
 
 
 def text_width(text: str, size: float, weight: str = "normal") -> float:
-    """Of a line of text [inch]."""
+    """Width of a line of text [inch]."""
     font = FontProperties(size=size, weight=weight)
     return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0]) / 72.0
 
 
 def shortened(text: str, inches: float, size: float, weight: str = "normal") -> str:
-    """``text`` no wider than ``inches``: names differ at their ends, so something inside is left out."""
+    """Shorten ``text`` to at most ``inches``; names differ at their ends, so characters in the middle are dropped."""
     text = one_line(text)
     if text_width(text, size, weight) <= inches:
         return text
-    fitting, most = 1, len(text) - 1
-    while fitting < most:
-        length = (fitting + most + 1) // 2
+    fitting, longest = 1, len(text) - 1
+    while fitting < longest:
+        length = (fitting + longest + 1) // 2
         if text_width(_without_middle(text, length), size, weight) <= inches:
             fitting = length
         else:
-            most = length - 1
+            longest = length - 1
     return _without_middle(text, fitting)
 
 
 def _without_middle(text: str, length: int) -> str:
-    """A text of which ``length`` characters are left."""
+    """Keep ``length`` characters at the ends of a text."""
     head = 2 * length // 5
     return f"{text[:head]}…{text[len(text) - length + head :]}"
 
 
-# By the axis that the viewer looks along: the axes to the right and up.
+# Name of the view along each world axis, and the axes to the right and up.
 _VIEWS = (("from the front", "yz"), ("from the right", "xz"), ("from above", "xy"))
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedLink:
-    """A link of a prior where it is in the world: ``rotation (3, 3)`` and ``origin (3,)`` of its frame."""
+    """Link of a prior with its pose in the world: ``rotation (3, 3)`` and ``origin (3,)`` of its frame."""
 
     link: LinkPrior
     rotation: FloatArray
     origin: FloatArray
 
     def in_world(self, points: FloatArray) -> FloatArray:
-        """Points ``(N, 3)`` of the link's frame."""
+        """Transform points ``(N, 3)`` from the link's frame to the world."""
         return points @ self.rotation.T + self.origin
 
 
 def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
-    """Draw the links along the two axes in which they reach least far, in orthographic projection, into the PNG
+    """Draw the links, viewed along the two axes of their smallest extent, in orthographic projection, into the PNG
     ``path``."""
     corners = np.concatenate([placed.in_world(placed.link.solid.vertices) for placed in links if placed.link.solid])
     shortest = np.argsort(np.ptp(corners, axis=0), kind="stable")[:2]
@@ -143,7 +143,7 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
     panels = figure.subplots(*((2, 1) if wide else (1, 2)))
     for panel, axis in zip(panels, shortest, strict=True):
         name, axes = _VIEWS[int(axis)]
-        right, up = (np.eye(3)["xyz".index(each)] for each in axes)
+        right, up = (np.eye(3)["xyz".index(letter)] for letter in axes)
         _draw(panel, links, np.array([right, up, np.cross(right, up)]))
         panel.set_title(f"{name} ({', '.join(axes)})", size="medium")
         panel.set_aspect("equal", adjustable="box")
@@ -158,25 +158,25 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
 
 
 def _draw(axes: Axes, links: Sequence[PlacedLink], view: FloatArray) -> None:
-    """The limits are those of shapes and prior: an inertial far outside must not make all else small."""
-    reached = []
+    """Draw the links in one view. The limits ignore inertials of the URDF, which may lie far outside."""
+    extents = []
     for placed in links:
         if placed.link.solid is not None:
             _draw_shape(axes, placed.in_world(placed.link.solid.vertices) @ view.T, placed.link.solid.triangles)
-            reached.append((placed.in_world(placed.link.solid.vertices) @ view.T)[:, :2])
+            extents.append((placed.in_world(placed.link.solid.vertices) @ view.T)[:, :2])
         if placed.link.before.parameters is not None and not placed.link.before.problem:
             axes.plot(*_outline(placed.link.before.parameters, placed, view), color=URDF, ls="--", lw=1.0)
         if placed.link.parameters is not None:
-            reached.append(_outline(placed.link.parameters, placed, view).T)
-            axes.plot(*reached[-1].T, color=IDENTIFIED, lw=1.3)
-    ends = np.concatenate(reached)
+            extents.append(_outline(placed.link.parameters, placed, view).T)
+            axes.plot(*extents[-1].T, color=IDENTIFIED, lw=1.3)
+    ends = np.concatenate(extents)
     margin = 0.05 * np.ptp(ends, axis=0).max()
     axes.set_xlim(ends[:, 0].min() - margin, ends[:, 0].max() + margin)
     axes.set_ylim(ends[:, 1].min() - margin, ends[:, 1].max() + margin)
 
 
 def _draw_shape(axes: Axes, vertices: FloatArray, faces: IntArray) -> None:
-    """``vertices (V, 3)`` in the view's axes; the nearer triangles over the farther ones."""
+    """Draw ``vertices (V, 3)`` in the view's axes, with nearer triangles in front of farther ones."""
     triangles = vertices[faces]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     sizes = np.linalg.norm(normals, axis=1)
@@ -197,8 +197,8 @@ def _outline(parameters: FloatArray, placed: PlacedLink, view: FloatArray) -> Fl
 
 
 def torque_picture(path: Path, title: str, names: Sequence[str], drawn: FloatArray, ranges: FloatArray) -> None:
-    """Draw the PNG ``path``: the width of the band of efforts of ``drawn`` robots and of ``ranges``, ``(joints,)`` in
-    the order of the joints' ``names``."""
+    """Draw the PNG ``path``: width of the band of efforts of ``drawn`` robots and of ``ranges``, ``(joints,)`` in the
+    order of the joint ``names``."""
     figure = new_figure(8.0, 0.4 * len(names) + 1.6)
     figure.suptitle(title, x=0.02, ha="left", weight="bold", parse_math=False)
     axes = figure.subplots()

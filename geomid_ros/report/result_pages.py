@@ -1,6 +1,5 @@
-"""Pages of results: ``report.html`` of an identification, and in words what it is good for and what it leaves open;
-``compare.html``, two results of one robot side by side; ``fleet.html``, many robots.
-"""
+"""Pages of results: ``report.html`` of an identification, with its uses and open parameters in words; ``compare.html``,
+two results of one robot side by side; ``fleet.html``, many robots."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ from geomid_ros.report.series import SCRIPT, Series, traces
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelErrors:
-    """RMS of what two results leave unexplained of a channel, in its ``unit``; NaN where one says nothing of it."""
+    """Residual RMS of two results in a channel, in its ``unit``; NaN where a result has none."""
 
     name: str
     unit: str
@@ -33,8 +32,8 @@ class ChannelErrors:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ComparisonPage:
-    """What the page is made of: the files ``first`` and ``second``, what was ``compared``, the ``errors`` of both by
-    channel and what they are ``judged_on``, ``doubts`` and ``notes``."""
+    """Content of the page: the files ``first`` and ``second``, their differences (``compared``), the ``errors`` of both
+    by channel and the data that these are ``judged_on``, ``doubts`` and ``notes``."""
 
     first: str
     second: str
@@ -63,7 +62,7 @@ def write_comparison_page(path: Path, page: ComparisonPage) -> None:
 
 
 def verdict(found: Compared) -> str:
-    """Whether the results differ, in a sentence."""
+    """State in a sentence if the results differ."""
     links = [link.sentence for link in found.changed]
     numbers = len(found.differing)
     parts = [*links, *([f"{numbers} number{'s' * (numbers > 1)} beyond the joint 95 % intervals"] if numbers else [])]
@@ -71,7 +70,7 @@ def verdict(found: Compared) -> str:
 
 
 def row(difference: Difference) -> tuple[str, str, str, str, str]:
-    """Place, name, both values with their 95 % intervals, and the difference with its joint one."""
+    """Return place, name, both values with their 95 % intervals, and the difference with its joint interval."""
     name = gap_words.headline(difference.effect) + (" " if difference.effect else "") + difference.parameter
     change = Quantity(difference.value, difference.half_width, difference.unit)
     apart = gap_words.measured(change) if math.isfinite(difference.value) else ""
@@ -86,22 +85,22 @@ def _value(quantity: Quantity | None) -> str:
 
 
 def error(value: float) -> str:
-    """An error, empty where it is not known."""
+    """Format an error; empty if it is not known."""
     return f"{value:.3g}" if math.isfinite(value) else ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotLine:
-    """What the page says of a robot.
+    """Line of a robot on the page.
 
     Attributes:
-        name: the robot's.
-        bags, used: how many bags it has, and how many its estimate is from.
+        name: name of the robot.
+        bags, used: number of its bags, and of those that its estimate is from.
         verdict, reasons: of its estimate, or why there is none.
-        unlike: in what it is unlike the others, in words.
-        distance: from the others, in standard deviations; None where there are no others to compare with.
-        changed: what has changed since an earlier run, in words.
-        mass: of all links [kg].
+        unlike: its deviations from the other robots, in words.
+        distance: distance from the others, in standard deviations; None without others to compare with.
+        changed: changes since an earlier run, in words.
+        mass: mass of all links [kg].
     """
 
     name: str
@@ -116,14 +115,14 @@ class RobotLine:
 
     @property
     def remarkable(self) -> tuple[bool, int, int, float]:
-        """What robots are ordered by: without a usable result, unlike the others, changed."""
+        """Sort key of robots: without a usable result, unlike the others, changed."""
         return self.verdict != USABLE, len(self.unlike), len(self.changed), self.distance or 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class FleetPage:
-    """What the page is made of: the robots, the most remarkable first, bags that could not be used, and such that
-    something seems to be wrong with, each with why."""
+    """Content of the page: the robots, the most remarkable first, bags that could not be used, and doubtful ones, each
+    with the reason."""
 
     lines: Sequence[RobotLine]
     bad: Sequence[tuple[str, str]]
@@ -146,7 +145,7 @@ def write_fleet_page(path: Path, page: FleetPage) -> None:
 
 
 WEAK = 0.5
-"""Share of an effect's uncertainty: less that the data removed is little."""
+"""Fraction of an effect's uncertainty removed by the data; an effect below it is weakly identified."""
 
 _GROUPS = (("c", "centre of mass"), ("I", "inertia"))
 _KINDS = {"before": "URDF", "after": "identified"}
@@ -179,14 +178,14 @@ def write_identification_page(path: Path, file: EstimateFile, series: Sequence[S
 
 
 def _heaviest(file: EstimateFile, links: Sequence[LinkEstimate]) -> float:
-    """The end of the axis of masses [kg]: there is room for all masses, and for most intervals."""
+    """End of the mass axis [kg], with room for all masses and for most intervals."""
     masses = [mass for link in links for mass in (file.urdf_masses[link.name], link.mass)]
     ends = [link.mass_interval[1] for link in links]
     return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
 
 
 def _bars(file: EstimateFile) -> Bars:
-    """RMS of the identified model beside that of the URDF, which is 100 %."""
+    """Residual RMS of the identified model relative to that of the URDF (100 %)."""
     ratios = {row.channel: row.ratio for row in file.channels if math.isfinite(row.ratio)}
     end = max(1.0, min(2.0, max(ratios.values(), default=1.0)))
     rows = [
@@ -197,7 +196,7 @@ def _bars(file: EstimateFile) -> Bars:
 
 
 def uses(file: EstimateFile) -> list[str]:
-    """What a result can be used for, in sentences."""
+    """List the uses of a result, in sentences."""
     if file.judgement.word != USABLE:
         return ["Do not use this result until the problem is corrected; the numbers below show where it is wrong."]
     return [*_predictions(file), *identified(file.link_estimates)]
@@ -218,18 +217,18 @@ def _predictions(file: EstimateFile) -> list[str]:
 
 
 def identified(links: Sequence[LinkEstimate]) -> list[str]:
-    """What is identified of links, by quantity, in sentences."""
+    """List the identified quantities of links, in sentences."""
     masses = [link.name for link in links if "mass" in link.identified]
     moments = [_of_axes(link) for link in links if link.moments and not link.outlier]
     inertias = [link.name for link in links if {*QUANTITIES[4:]} <= {*link.identified}]
     groups = {"mass": masses, "first moment": moments, "inertia": inertias}
-    named = [f"{what} of {', '.join(names)}" for what, names in groups.items() if names]
+    named = [f"{quantity} of {', '.join(names)}" for quantity, names in groups.items() if names]
     if not named:
         return ["Individually identified: none. Only combinations are identified; predictions are unaffected."]
     sentence = f"Identified from the data (95 % interval within ±20 %): {'; '.join(named)}."
-    whole = all(link.identified == QUANTITIES for link in links)
+    every = all(link.identified == QUANTITIES for link in links)
     return (
-        [sentence] if whole else [sentence, "All else is identified only in combination; predictions are unaffected."]
+        [sentence] if every else [sentence, "All else is identified only in combination; predictions are unaffected."]
     )
 
 
@@ -238,25 +237,25 @@ def _of_axes(link: LinkEstimate) -> str:
 
 
 def cannot_tell(quantities: Sequence[str]) -> str:
-    """Those of :data:`QUANTITIES` that are not identified."""
+    """List :data:`QUANTITIES` that are not identified."""
     return "all" if len(quantities) == len(QUANTITIES) else grouped(quantities)
 
 
 def grouped(quantities: Sequence[str]) -> str:
-    """Some of :data:`QUANTITIES`, those that are complete by the name of their group."""
+    """List :data:`QUANTITIES`; a complete group goes by its name."""
     parts = ["mass"] if "mass" in quantities else []
     for letter, name in _GROUPS:
         group = [quantity for quantity in QUANTITIES if quantity.startswith(letter)]
-        found = [quantity for quantity in group if quantity in quantities]
-        parts += [name] if len(found) == len(group) else found
+        present = [quantity for quantity in group if quantity in quantities]
+        parts += [name] if len(present) == len(group) else present
     return ", ".join(parts)
 
 
 def telling(motions: Mapping[str, Sequence[str]]) -> list[str]:
-    """What would tell what the data do not tell of a link, in sentences.
+    """List the motions that would identify the open quantities of a link, in sentences.
 
     Args:
-        motions: the quantities that each motion would tell; under an empty name those that none tells.
+        motions: the quantities that each motion would identify; under an empty name those that none would.
     """
     sentences = [f"{grouped(quantities)}: {motion}" for motion, quantities in motions.items() if motion]
     rest = motions.get("", ())

@@ -1,4 +1,4 @@
-"""The robot's bodies before and after, and the table of its links."""
+"""Drawing of the bodies before and after, and the table of links."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ from geomid_ros.types import FloatArray
 
 Color: TypeAlias = tuple[float, float, float]
 
-MOST_ROWS = 30  # of the table of links
+MOST_ROWS = 30  # of the link table
 
 _TABLE_WIDTH, _ROW, _KEY_HEIGHT = 3.9, 0.28, 1.15  # [inch]
-_THINNEST = 1e-3  # semi-axis that is drawn, as a share of the robot's size
+_THINNEST = 1e-3  # smallest semi-axis drawn, as a fraction of the robot's size
 _BADGE = 0.1  # radius of a link's number in the picture [inch]
-# For the colour-blind: a scale that darkens steadily.
+# For colour-blind readers, the scale darkens steadily.
 _SHARES = LinearSegmentedColormap.from_list("share", SHARES)
 
 
 def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
-    """Draw the robot, its table and their key into their place.
+    """Draw the robot, the table of its links and the key.
 
-    Bodies that reach too far to leave room for the others are cut off at the picture's edge.
+    Bodies that reach too far to leave room for the others are cut off at the edge of the picture.
     """
     reach = reach_of(bodies)
     bodies = [thickened(body, _THINNEST * reach) for body in bodies]
@@ -74,7 +74,7 @@ def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
 
 
 def _layout(extent: FloatArray, links: int) -> tuple[Place, Place, Place]:
-    """Places of the robot, of the table and of the key: table beside or below, whichever lets the robot be larger.
+    """Places of robot, table and key. The table is beside or below, whichever gives the larger robot.
 
     ``extent (2,)``: of the robot on the picture [m].
     """
@@ -93,12 +93,12 @@ def _layout(extent: FloatArray, links: int) -> tuple[Place, Place, Place]:
 
 
 def _scale(place: Place, extent: FloatArray) -> float:
-    """Inches for a metre when ``extent (2,)`` [m] fills the place but for a margin; negative without room."""
+    """Inches per metre if ``extent (2,)`` [m] fills the place except for a margin; negative without room."""
     return float(np.min((np.array(place[2:]) - 0.4) / np.maximum(extent, 1e-3)))
 
 
 def _robot_axes(figure: Figure, place: Place, low: FloatArray, high: FloatArray) -> tuple[Axes, float]:
-    """Axes in metres, as long upwards as sideways, around corners ``(2,)`` [m]; and the metres to an inch."""
+    """Axes in metres with equal scales around corners ``(2,)`` [m]; and the metres per inch."""
     axes = add_axes(figure, place)
     axes.set_axis_off()
     inch = 1.0 / _scale(place, high - low)
@@ -115,7 +115,7 @@ def _draw_floor(axes: Axes, view: View, floor: FloatArray) -> None:
 
 
 def _draw_compass(axes: Axes, view: View, inch: float, label: str) -> None:
-    """The world's axes in the lower left corner, and a label beside them."""
+    """Draw the world axes in the lower left corner, with a label beside them."""
     start = np.array([axes.get_xlim()[0], axes.get_ylim()[0]]) + 0.2 * inch
     for axis, name in zip(view.rotation[:2].T, "xyz", strict=True):
         axes.plot(*np.transpose([start, start + 0.33 * inch * axis]), color=FAINT, lw=1.3, zorder=0.1)
@@ -133,9 +133,9 @@ def _draw_sticks(axes: Axes, view: View, bodies: Sequence[BodyDrawing]) -> None:
 
 
 def _draw_identified(axes: Axes, view: View, body: BodyDrawing) -> None:
-    """A shaded, translucent ellipsoid in the colour of its share from data.
+    """Draw a shaded, translucent ellipsoid in the colour of its fraction from data.
 
-    With the view's part of the sphere map ``U S V^T``, the unit disk under ``U S`` is the outline.
+    The outline is the unit disk under ``U S``, where ``U S V^T`` is the view's part of the sphere map.
     """
     solid, color = body.identified, _SHARES(_share(body.from_data))[:3]
     sphere_map = view.sphere_map(solid)
@@ -153,9 +153,9 @@ def _draw_identified(axes: Axes, view: View, body: BodyDrawing) -> None:
 
 
 def _shaded_disk(sphere_map: FloatArray, back: FloatArray, color: Color) -> FloatArray:
-    """Colours ``(128, 128, 4)`` of the ellipsoid's near side over its unit disk, lit from the upper left.
+    """Colours ``(128, 128, 4)`` of the near side of the ellipsoid over its unit disk, lit from the upper left.
 
-    ``back (3, 3)``: rows are the disk's two directions and the line of sight on the unit sphere.
+    ``back (3, 3)``: rows are the two directions of the disk and the line of sight, on the unit sphere.
     """
     u, v = np.meshgrid(*2 * [np.linspace(-1.0, 1.0, 128)])
     w = np.sqrt(np.clip(1.0 - u**2 - v**2, 0.0, 1.0))
@@ -171,7 +171,7 @@ def _shaded_disk(sphere_map: FloatArray, back: FloatArray, color: Color) -> Floa
 
 
 def _draw_prior(axes: Axes, view: View, body: BodyDrawing) -> None:
-    """Outline and principal sections of the URDF's ellipsoid."""
+    """Draw outline and principal sections of the URDF's ellipsoid."""
     sphere_map = view.sphere_map(body.prior)
     centre = view.flat(body.prior.centre)[:, None]
     axes.plot(*(centre + outline(sphere_map)), color=URDF, lw=1.1, zorder=1.6)
@@ -181,7 +181,7 @@ def _draw_prior(axes: Axes, view: View, body: BodyDrawing) -> None:
 
 
 def _draw_badges(axes: Axes, view: View, bodies: Sequence[BodyDrawing], inch: float) -> None:
-    """Each body's number at its centre, or beside it where it would hide the body or another number."""
+    """Draw each body's number at its centre, or beside it if it would hide the body or another number."""
     anchors = [body.identified.centre if body.identified.is_finite else body.origin for body in bodies]
     low, high = np.transpose([axes.get_xlim(), axes.get_ylim()]) / inch
     at = np.clip(view.flat(np.array(anchors)) / inch, low + _BADGE, high - _BADGE)
@@ -195,23 +195,23 @@ def _draw_badges(axes: Axes, view: View, bodies: Sequence[BodyDrawing], inch: fl
 
 
 def _draw_badge(axes: Axes, x: float, y: float, number: int, body: BodyDrawing, inch: float) -> None:
-    """A link's number on its colour; ``inch`` in the axes' coordinates."""
+    """Draw a link's number on its colour; ``inch`` in the axes' coordinates."""
     color = _SHARES(_share(body.from_data))[:3]
     axes.add_artist(Circle((x, y), _BADGE * inch, fc=color, ec="white", lw=1.0, zorder=4.0))
     add_text(axes, x, y, str(number), 7.5, _ink_on(color), weight="bold", ha="center", va="center_baseline")
 
 
 def _spread(points: FloatArray, distance: float) -> FloatArray:
-    """``points (K, 2)`` pushed apart until none are closer than ``distance``, as far as some rounds get."""
+    """Push ``points (K, 2)`` apart until none are closer than ``distance``, or the rounds are used up."""
     turns = 2.4 * np.arange(len(points))
     places = points + 1e-6 * distance * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     for _ in range(300):
-        apart = places[:, None] - places
-        lengths = np.linalg.norm(apart, axis=-1) + np.eye(len(places)) * 1e9
+        offsets = places[:, None] - places
+        lengths = np.linalg.norm(offsets, axis=-1) + np.eye(len(places)) * 1e9
         push = np.clip(distance - lengths, 0.0, None) / 2.0
         if not np.any(push > 1e-3 * distance):
             break
-        places = places + 0.5 * np.sum(apart / lengths[..., None] * push[..., None], axis=1)
+        places = places + 0.5 * np.sum(offsets / lengths[..., None] * push[..., None], axis=1)
     return places
 
 
@@ -244,7 +244,7 @@ def _draw_row(area: Axes, y: float, number: int, body: BodyDrawing) -> None:
 
 
 def _draw_key(figure: Figure, place: Place) -> None:
-    """What the ellipsoids mean, and the colour bar."""
+    """Draw the legend of the ellipsoids and the colour bar."""
     area = add_area(figure, place)
     add_text(area, 0.0, 0.06, "Ellipsoids: uniform bodies of the same mass and inertia", 9.0, FAINT)
     area.add_artist(Circle((0.1, 0.35), 0.09, fill=False, ec=URDF, lw=1.1))
@@ -263,5 +263,5 @@ def _share(from_data: float) -> float:
 
 
 def _ink_on(color: Color) -> str:
-    """What can be read on ``color``: black or white."""
+    """Readable text colour on ``color``: black or white."""
     return INK if float(np.dot(color, (0.299, 0.587, 0.114))) > 0.55 else "white"

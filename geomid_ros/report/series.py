@@ -1,5 +1,4 @@
-"""Channels over time as they are drawn, in pictures and on pages: without long pauses, in no more points than can be
-seen."""
+"""Channels over time for pictures and pages: without long pauses, and with no more points than are visible."""
 
 from __future__ import annotations
 
@@ -15,17 +14,17 @@ from geomid_ros.session.session import Session
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 MOST_DRAWN = 12
-"""Channels of which lines over time are drawn."""
+"""Largest number of channels drawn over time."""
 BINS = 500
-"""Stretches of a long line; each keeps its smallest and largest value."""
+"""Number of bins of a long line; each keeps its smallest and largest value."""
 
-_CORE = (0.5, 99.5)  # percentiles between which a channel's ordinary values lie
+_CORE = (0.5, 99.5)  # percentiles of ordinary values of a channel
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A channel over time, in ``unit``: ``times`` [s], the ``measured`` values, those of the URDF (``nominal``) and
-    those of the identified model (``predicted``); ``(N,)`` each, NaN where absent."""
+    """Channel over time, in ``unit``: ``times`` [s], the ``measured`` values, those of the URDF (``nominal``) and of
+    the identified model (``predicted``); ``(N,)`` each, NaN where absent."""
 
     name: str
     unit: str
@@ -36,18 +35,18 @@ class Series:
 
     @property
     def rms(self) -> tuple[float, float]:
-        """RMS residual of the URDF and of the identified model, NaN without a common sample."""
+        """Residual RMS of the URDF and of the identified model; NaN without a common sample."""
         return _rms(self.measured - self.nominal), _rms(self.measured - self.predicted)
 
     @property
     def ratio(self) -> float:
-        """RMS after over RMS before: below 1 is better; NaN where it is undefined."""
+        """RMS after divided by RMS before: below 1 is better; NaN if undefined."""
         before, after = self.rms
         return after / before if before > 0.0 else float("nan")
 
 
 def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) -> list[Series]:
-    """The channels that were measured in some samples, which are in the order of time."""
+    """Return the channels measured in at least one sample; the batches are in the order of time."""
     stamps = np.concatenate([samples.stamps for samples in batches])
     times = (stamps - stamps[0]) * 1e-9
     both = np.column_stack([session.model.nominal_parameters, estimate.parameters])
@@ -62,9 +61,9 @@ def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """From stamps to seconds since the first one; pauses that would leave little room for the rest are shortened.
+    """Map from stamps to seconds since the first one; pauses that would leave little room for the rest are shortened.
 
-    ``stamps (K,)`` [s] ascending, ``seconds (K,)`` where they are on the axis.
+    ``stamps (K,)`` [s] ascending, ``seconds (K,)`` their positions on the axis.
     """
 
     stamps: FloatArray
@@ -73,29 +72,29 @@ class Clock:
 
     @staticmethod
     def of(series: Sequence[Series]) -> Clock:
-        """The clock of some channels."""
+        """Return the clock of some channels."""
         stamps = np.unique(np.concatenate([channel.times for channel in series]))
         stamps = stamps[np.isfinite(stamps)]
         if len(stamps) < 2:
             return Clock(np.array([0.0, 1.0]) + stamps.sum(), np.array([0.0, 1.0]), "time [s]")
         steps = np.diff(stamps)
-        recorded = float(np.sum(steps[~_long(steps)]))
-        pauses = _long(steps) & (steps > 0.1 * recorded)
+        recorded = float(np.sum(steps[~_is_pause(steps)]))
+        pauses = _is_pause(steps) & (steps > 0.1 * recorded)
         seconds = np.concatenate([[0.0], np.cumsum(np.where(pauses, 0.03 * recorded, steps))])
         return Clock(stamps, seconds, "time [s], pauses shortened" if np.any(pauses) else "time [s]")
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Seconds on the axis, like ``times``."""
+        """Convert ``times`` to seconds on the axis."""
         return np.interp(times, self.stamps, self.seconds)
 
 
 def elapsed(stamps: IntArray) -> FloatArray:
-    """Seconds since the first stamp [ns], ``(N,)``, without pauses between recordings, one of which may have begun
-    before the one in front of it."""
+    """Seconds since the first stamp [ns], ``(N,)``, without pauses between recordings. A recording may begin before the
+    one in front of it."""
     steps = np.diff(stamps) * 1e-9
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    lasting = np.where(_long(steps) | (steps <= 0.0), usual, steps) if len(steps) else steps
-    return np.concatenate([[0.0], np.cumsum(lasting)])[: len(stamps)]
+    period = float(np.median(steps)) if len(steps) else 0.0
+    durations = np.where(_is_pause(steps) | (steps <= 0.0), period, steps) if len(steps) else steps
+    return np.concatenate([[0.0], np.cumsum(durations)])[: len(stamps)]
 
 
 def _rms(residuals: FloatArray) -> float:
@@ -104,7 +103,7 @@ def _rms(residuals: FloatArray) -> float:
 
 
 def limits(channel: Series) -> tuple[float, float]:
-    """Limits of y: all but 1 % of what was measured and identified, and of the rest what comes within one such span."""
+    """Limits of y: all measured and identified values but 1 %, and nominal values within one such span of them."""
     core = np.concatenate([channel.measured, channel.predicted])
     everything = np.concatenate([core, channel.nominal])
     everything = everything[np.isfinite(everything)]
@@ -121,25 +120,25 @@ def limits(channel: Series) -> tuple[float, float]:
 
 
 def thinned(times: FloatArray, values: FloatArray, clock: Clock, bins: int = BINS) -> tuple[FloatArray, FloatArray]:
-    """A line for drawing: no more points than can be seen but with every peak, and broken by NaN at gaps in time."""
+    """Thin a line for drawing: keep all peaks, drop invisible points, and break it by NaN at gaps in time."""
     finite = np.flatnonzero(np.isfinite(times) & np.isfinite(values))
     order = finite[np.argsort(times[finite], kind="stable")]
     times, values = times[order], values[order]
     if len(times) < 3:
         return clock.at(times), values
-    gaps = np.flatnonzero(_long(np.diff(times)))
+    gaps = np.flatnonzero(_is_pause(np.diff(times)))
     kept = np.union1d(_extremes(values, bins), [*gaps, *(gaps + 1)]).astype(np.int64)
     breaks = np.searchsorted(kept, gaps + 1)
     return np.insert(clock.at(times[kept]), breaks, np.nan), np.insert(values[kept], breaks, np.nan)
 
 
-def _long(steps: FloatArray) -> BoolArray:
-    """Which steps in time are pauses rather than the ordinary distance of samples."""
+def _is_pause(steps: FloatArray) -> BoolArray:
+    """True for time steps longer than five median steps."""
     return steps > 5.0 * np.median(steps)
 
 
 def _extremes(values: FloatArray, bins: int) -> IntArray:
-    """Indices of the smallest and the largest value in each of at most ``bins`` stretches, and of both ends."""
+    """Indices of the smallest and the largest value in each of at most ``bins`` bins, and of both ends."""
     if len(values) <= 2 * bins:
         return np.arange(len(values))
     length = -(-len(values) // bins)
@@ -149,28 +148,28 @@ def _extremes(values: FloatArray, bins: int) -> IntArray:
     return np.unique(np.minimum(picked, len(values) - 1))
 
 
-# --- For a page, whose script reads values and zooms ---
+# --- For pages, whose script reads off values and zooms ---
 
 SCRIPT = "traces.js"
 WIDTH, HEIGHT = 20_000, 4_000
-"""Of a panel, in the units of its lines; those of ``traces.js``."""
+"""Size of a panel in the units of its lines; the same as in ``traces.js``."""
 
-_MOST_POINTS = 200_000  # of a page: two megabytes
-_TIMES = 5  # labels of the axis of time
+_MOST_POINTS = 200_000  # per page: two megabytes
+_TIMES = 5  # labels of the time axis
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelTrace:
-    """A channel for a page.
+    """Channel for a page.
 
     Attributes:
-        name, unit: the channel's.
-        before, after: RMS residual of the URDF and of the identified model, written.
-        low, high: values at the panel's lower and upper edge.
+        name, unit: name and unit of the channel.
+        before, after: residual RMS of the URDF and of the identified model, formatted.
+        low, high: values at the lower and upper edge of the panel.
         end: seconds at its right edge; the left one is at 0.
-        times: labels of the axis of time, evenly spaced; ``clock`` is what it is called.
-        ticks: labels of the other axis, and where they are in percent from the top.
-        lines: by kind, the path of each.
+        times: labels of the time axis, evenly spaced; ``clock`` is its name.
+        ticks: labels of the other axis, and their positions in percent from the top.
+        lines: path of each line, by kind.
     """
 
     name: str
@@ -187,11 +186,11 @@ class ChannelTrace:
 
 
 def traces(series: Sequence[Series]) -> list[ChannelTrace]:
-    """The channels, each in as many points as the page has room for."""
+    """Return the channels, each in as many points as fit the page."""
     if not series:
         return []
     clock = Clock.of(series)
-    bins = max(1, min(BINS, _MOST_POINTS // (6 * len(series))))  # three lines, of two points each
+    bins = max(1, min(BINS, _MOST_POINTS // (6 * len(series))))  # three lines, two points each
     return [_trace(channel, clock, bins) for channel in series]
 
 

@@ -1,4 +1,4 @@
-"""``geomid excite``: motions that tell what a robot weighs. Without a subcommand it designs one."""
+"""``geomid excite``: exciting trajectories. Without a subcommand it designs one."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def excite(context: click.Context, /, until: float, out: Path, **options: Any) -
 
     check_writable(out)
     with progress_bar() as progress:
-        found = geomid_ros.excite(progress=progress, **options)
-        worth_it = found.excitation.learning.gain >= until
+        design = geomid_ros.excite(progress=progress, **options)
+        worth_it = design.excitation.learning.gain >= until
         progress("writing", 0.0)
-        files = found.save(out) if worth_it else []
-    _show(found.excitation)
-    no = f"Nothing was written: {found.excitation.not_worth(until)}"
+        files = design.save(out) if worth_it else []
+    _show(design.excitation)
+    no = f"Nothing was written: {design.excitation.not_worth(until)}"
     click.echo(f"\nWritten: {', '.join(map(str, files))}" if worth_it else f"\n{no}")
 
 
@@ -56,33 +56,33 @@ excite.add_command(run)
 excite.add_command(learn)
 
 
-def _show(found: Excitation) -> None:
+def _show(design: Excitation) -> None:
     """Print notes, margins and expected standard deviations."""
     console = results_console()
-    for note in found.task.notes:
+    for note in design.task.notes:
         say(console, "Note:", f" {note}")
-    form = found.motion.form
+    form = design.motion.form
     console.print(f"{form.repeats} x {form.period:g} s = {form.duration:g} s")
-    console.print(_margins(found))
-    if found.closest:
-        say(console, "Smallest distance:", f" {found.closest}")
-    console.print(_links(found))
-    if found.task.knowledge.posterior.effects:
-        console.print(_effects(found))
-    for decision in found.decisions:
+    console.print(_margins(design))
+    if design.closest:
+        say(console, "Smallest distance:", f" {design.closest}")
+    console.print(_links(design))
+    if design.task.knowledge.posterior.effects:
+        console.print(_effects(design))
+    for decision in design.decisions:
         say(console, "Discriminates:" if decision.is_sure else "Does not discriminate:", f" {decision.sentence}")
-    say(console, "Expected error", f" {found.error}:")
-    for sentence in found.learning.sentences:
+    say(console, "Expected error", f" {design.error}:")
+    for sentence in design.learning.sentences:
         say(console, "", f"- {sentence}")
 
 
-def _margins(found: Excitation) -> Table:
+def _margins(design: Excitation) -> Table:
     from geomid_ros.report.gap_words import percent
 
     headings = ["lowest", "highest", "to limit", "speed", "acceleration", "jerk", "effort with margin"]
     table = plain_table("Use of each limit", ["joint"], headings)
-    margins, positions = found.margins, found.trajectory.positions
-    for index, name in enumerate(found.task.feasibility.names):
+    margins, positions = design.margins, design.trajectory.positions
+    for index, name in enumerate(design.task.feasibility.names):
         used = (margins.velocity, margins.acceleration, margins.jerk, margins.effort)
         ends = positions[:, index].min(), positions[:, index].max(), margins.position[index]
         numbers = (*(f"{end:.3f}" for end in ends), *(percent(share[index]) for share in used))
@@ -90,24 +90,24 @@ def _margins(found: Excitation) -> Table:
     return table
 
 
-def _links(found: Excitation) -> Table:
-    learning = found.learning
+def _links(design: Excitation) -> Table:
+    learning = design.learning
     table = plain_table("Standard deviation of the mass [kg]", ["link"], ["mass", *_MOTIONS])
-    masses = found.task.knowledge.posterior.parameters
-    for index, name in enumerate(found.task.knowledge.posterior.links):
+    masses = design.task.knowledge.posterior.parameters
+    for index, name in enumerate(design.task.knowledge.posterior.links):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)
         table.add_row(name, f"{masses[10 * index]:.3f}", *(f"{kind.links[index, 0]:.2g}" for kind in kinds))
     return table
 
 
-def _effects(found: Excitation) -> Table:
+def _effects(design: Excitation) -> Table:
     from geomid_ros.report.gap_words import headline
 
-    learning = found.learning
+    learning = design.learning
     table = plain_table("Standard deviation of the effects", ["effect", "at"], _MOTIONS)
     table.add_column("unit")
-    for index, effect in enumerate(found.task.knowledge.posterior.effects):
+    for index, effect in enumerate(design.task.knowledge.posterior.effects):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)
-        spreads = (f"{kind.effects[index]:.2g}" for kind in kinds)
-        table.add_row(headline(effect.name), effect.place, *spreads, effect.unit)
+        stds = (f"{kind.effects[index]:.2g}" for kind in kinds)
+        table.add_row(headline(effect.name), effect.place, *stds, effect.unit)
     return table

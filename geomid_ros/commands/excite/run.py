@@ -1,6 +1,5 @@
-"""``geomid excite run`` and ``learn``: a motion on a robot, watched over and recorded; and from a URDF to an identified
-robot, round by round.
-"""
+"""``geomid excite run`` and ``learn``: run a monitored motion on a robot and record it; and identify a robot from its
+URDF in rounds."""
 
 from __future__ import annotations
 
@@ -76,33 +75,33 @@ def run(
             return
         folders = (out / f"run{number}" for number in count(1))
         bag = next(folder for folder in folders if not folder.exists())
-        prepared.execute(bag, lambda said: click.echo(printable(said), err=True))
+        prepared.execute(bag, lambda line: click.echo(printable(line), err=True))
     click.echo(f"Recorded: {bag}")
     _identify(bag, identify)
 
 
 def ros_runs() -> ModuleType:
-    """What runs motions. Raises InputError where there is no ROS."""
+    """Import the module that runs motions. Raises InputError if ROS is not installed."""
     with needing_ros("running a motion"):
         from geomid_ros.ros.excite import run
     return run
 
 
 def show_plan(order: Order, plan: Plan) -> None:
-    """What would be done."""
+    """Print the plan of a motion."""
     from geomid_ros.report.gap_words import percent
 
     console = results_console()
     headings = ["now", "start", "distance", "lowest", "highest", "speed", "of its limit"]
     table = plain_table(f"{order.source} on {order.options.controller}", ["joint"], headings)
-    motion, here = plan.motion, plan.way.positions[0]
+    motion, current = plan.motion, plan.way.positions[0]
     for index, joint in enumerate(motion.joints):
         positions, speed = motion.positions[:, index], motion.speeds[index]
-        numbers = (here[index], positions[0], positions[0] - here[index], positions.min(), positions.max(), speed)
+        numbers = (current[index], positions[0], positions[0] - current[index], positions.min(), positions.max(), speed)
         share = percent(speed / plan.limits.speeds[index])
         table.add_row(joint, *(f"{number:.3f}" for number in numbers), share)
     console.print(table)
-    far = max(abs(plan.way.positions[-1] - here))
+    far = max(abs(plan.way.positions[-1] - current))
     for note in plan.notes:
         say(console, "Note:", f" {note}")
     console.print(
@@ -114,7 +113,7 @@ def show_plan(order: Order, plan: Plan) -> None:
 
 
 def _identify(bag: Path, at_once: bool) -> None:
-    """Identify from a recording, or say how."""
+    """Identify from a recording, or print the command for it."""
     arguments = [str(bag), "--out", str(bag.with_name(f"{bag.name}_identified"))]
     if not at_once:
         click.echo(f"Next: geomid identify {shlex.join(arguments)}")
@@ -124,12 +123,12 @@ def _identify(bag: Path, at_once: bool) -> None:
     identify.main(arguments, prog_name="geomid identify", standalone_mode=False)
 
 
-_FIRST = 0.2  # of the speed
+_FIRST = 0.2  # factor on the speed of the first round
 
 
 @dataclass(frozen=True, kw_only=True)
 class LearnOptions(MotionOptions, RunOptions):
-    """What all motions are asked for, and how they are run."""
+    """Options for the design of all motions, and for running them."""
 
 
 @click.command()
@@ -184,15 +183,15 @@ def learn(*, until: float, rounds: int, yes: bool, execute: bool, out: Path, **o
 
 @dataclass
 class _LearningRounds:
-    """What is known so far of a ``robot``.
+    """Rounds of learning a ``robot``, with the state so far.
 
     Attributes:
-        chosen: the configuration at the beginning.
-        asked: what all motions are asked for, and how they are run.
+        chosen: initial configuration.
+        asked: options for the design of all motions, and for running them.
         out: folder of all rounds.
-        number: of the last round that was begun.
-        identified: of the last round whose recording counts.
-        found: after that round.
+        number: number of the last round that was begun.
+        identified: number of the last round whose recording was used.
+        found: identification after that round.
     """
 
     robot: DescribedRobot
@@ -205,29 +204,29 @@ class _LearningRounds:
 
     @property
     def folder(self) -> Path:
-        """Of the last round that was begun."""
+        """Folder of the last round that was begun."""
         return self.out / f"round{self.number}"
 
     @property
     def result(self) -> Path:
-        """Folder of what was identified last."""
+        """Folder of the last identification."""
         return self.out / f"round{self.identified}"
 
     def design(self) -> Excitation:
-        """The motion of the next round, from what is known so far."""
+        """Design the motion of the next round, given the identification so far."""
         from geomid_ros.api.excite import designed_motion
 
-        speed, known = self.asked.speed, self.chosen
+        speed, parameters = self.asked.speed, self.chosen
         if self.found is None:
             speed *= _FIRST
         else:
-            known = known.with_values({"model": str(self.result / "estimate.json")})
+            parameters = parameters.with_values({"model": str(self.result / "estimate.json")})
         with progress_bar() as progress:
             asked = replace(self.asked, speed=speed, progress=progress)
-            return designed_motion(self.robot, known, asked).excitation
+            return designed_motion(self.robot, parameters, asked).excitation
 
     def show(self, designed: Excitation) -> None:
-        """Begin a round: write its motion, and say what to expect of it."""
+        """Begin a round: write its motion, and print its expected result."""
         from geomid_ros.report.excitation import save
 
         self.number += 1
@@ -239,10 +238,10 @@ class _LearningRounds:
         click.echo(f"Expected error {designed.error}: {designed.learning.sentences[0]}")
 
     def run(self, designed: Excitation, *, execute: bool) -> None:
-        """Say what will be done; to ``execute`` it, move and record.
+        """Print the plan; with ``execute``, move and record.
 
-        Raises GeomidError, which says how to go on: what stops a motion was not expected, and somebody should look at
-        the robot before it moves again.
+        Raises GeomidError with instructions to continue. Any stop ends the rounds, because it was unexpected and the
+        robot must be inspected before it moves again.
         """
         ros = ros_runs()
         order = ros.Order(
@@ -256,13 +255,13 @@ class _LearningRounds:
             with ros.prepared_run(order) as prepared:
                 show_plan(order, prepared.plan)
                 if execute:
-                    prepared.execute(self.folder / "recording", lambda said: click.echo(printable(said), err=True))
+                    prepared.execute(self.folder / "recording", lambda line: click.echo(printable(line), err=True))
         except GeomidError as error:
-            raise GeomidError(f"round {self.number}: {error}. {self._to_go_on}") from error
+            raise GeomidError(f"round {self.number}: {error}. {self._how_to_continue}") from error
 
     @property
-    def _to_go_on(self) -> str:
-        """What there is after a round that was stopped, and how to go on."""
+    def _how_to_continue(self) -> str:
+        """State the result so far after a stopped round, and how to continue."""
         if self.found is None:
             return "Nothing is identified yet. To start again, repeat the command with another --out"
         estimate = self.result / "estimate.json"
@@ -290,7 +289,7 @@ class _LearningRounds:
         click.echo(printable(f"Masses after round {self.number} [kg]: {masses}"))
 
     def tell(self) -> None:
-        """What was learned in the end. Raises SystemExit with the verdict's status."""
+        """Print the final result. Raises SystemExit with the verdict's status."""
         if self.found is None:
             return
         from geomid_ros.commands.recording_results import show_identification
