@@ -13,7 +13,7 @@ from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import FillOptions
 from geomid_ros.control.correction import SHORTEST, Adaptation, needed, share_of
 from geomid_ros.control.feedforward import MotorEfforts
-from geomid_ros.model.samples import ACCELERATION_PER_SPEED, PIECE, random_states
+from geomid_ros.model.samples import ACCELERATION_PER_SPEED, SAMPLES_PER_PIECE, random_states
 from geomid_ros.simulation.robots import robot_description
 
 _STEP = 2e-3  # [s]
@@ -44,8 +44,8 @@ def endure(name: str, seconds: float, heaviest: float, folder: Path) -> Endured:
     adaptation, noise = Adaptation(identified, heaviest), 0.01 * efforts.limits[:, None]
     share, fastest = share_of(_STEP, SHORTEST), np.full(len(robot.joints), _FASTEST)
     steps, moved, impossible, least = round(seconds / _STEP), 0, 0, np.inf
-    for begin in range(0, steps, PIECE):
-        count = min(PIECE, steps - begin)
+    for begin in range(0, steps, SAMPLES_PER_PIECE):
+        count = min(SAMPLES_PER_PIECE, steps - begin)
         states = random_states(rng, count, robot.position_limits, fastest, ACCELERATION_PER_SPEED * fastest)
         sizes = 10.0 ** rng.uniform(*_SIZES, (count, 1))
         for motion, errors in zip(states.swapaxes(0, 1), sizes * rng.normal(size=(count, len(fastest))), strict=True):

@@ -53,7 +53,7 @@ class SharpFriction(CoulombFriction):
     name = "sharp_friction"
 
     @classmethod
-    def variants(cls) -> tuple[Effect, ...]:
+    def grid(cls) -> tuple[Effect, ...]:
         """Itself."""
         return (cls(),)
 

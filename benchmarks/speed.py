@@ -156,7 +156,7 @@ def _warm_update() -> float:
     session.identifier.add(samples.select(slice(instants)))
     cold = session.identifier.solve()
     session.identifier.add(samples.select(slice(instants, instants + _NEW_INSTANTS)))
-    warm = WarmStart(cold.parameters, spreads=cold.spreads)
+    warm = WarmStart(cold.parameters, spreads=cold.prior_stds)
     return best_of(lambda: session.identifier.solve(warm))
 
 

@@ -17,10 +17,10 @@ from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.paper_estimator import PAPER
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.starting_point import (
-    USUAL_SPREAD,
+    DEFAULT_PRIOR_STD,
+    default_prior_stds,
     prior_parameters,
     scales_of_coefficients,
-    usual_spreads,
 )
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.measurement import MeasurementModel
@@ -133,7 +133,7 @@ def _distance_to_batch(streamed: FloatArray) -> tuple[float, float]:
     sigmas = np.resize(identifier.solve().sigmas, sum(map(len, targets)))
     rows = np.concatenate(coefficients)
     rows /= sigmas[:, None]
-    confidence = (USUAL_SPREAD / usual_spreads(manifold)) ** 2
+    confidence = (DEFAULT_PRIOR_STD / default_prior_stds(manifold)) ** 2
     ones = np.ones(len(rows))
     objective = ResidualObjective(
         manifold, rows, np.concatenate(targets) / sigmas, ones, prior, PAPER, confidence=confidence

@@ -32,7 +32,7 @@ def run(report: Report) -> None:
         report.progress(f"warm: update {update + 1} of {_UPDATES}")
         identifier.add(samples.select(slice(begin + _NEW * update, begin + _NEW * (update + 1))))
         start = time.process_time()
-        found = identifier.solve(WarmStart(found.parameters, spreads=found.spreads))
+        found = identifier.solve(WarmStart(found.parameters, spreads=found.prior_stds))
         between = time.process_time()
         identifier.solve()
         warm, cold = min(warm, between - start), min(cold, time.process_time() - between)

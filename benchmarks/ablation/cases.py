@@ -309,7 +309,7 @@ def _watch(what: str, seed: int) -> Figures:
         part = slice(begin, begin + BLOCK)
         stamps = 20_000_000 * np.arange(begin, begin + BLOCK)
         detector.add(begin, stamps, Rows(coefficients[part], targets[part]))
-        detector.judge()
+        detector.test()
         for gap in detector.gaps:
             if gap.since is not None:
                 opened.setdefault(gap.channel, begin // BLOCK)
@@ -318,7 +318,7 @@ def _watch(what: str, seed: int) -> Figures:
         "alarms": str(sorted(opened)),
         "first": float(min(opened.values(), default=-1)),
         "size": float(np.max(sizes, initial=0.0)),
-        "known": float(detector.normal(range(len(first.model.channels)))),
+        "known": float(detector.unchanged_before(range(len(first.model.channels)))),
     }
 
 

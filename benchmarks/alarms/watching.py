@@ -11,7 +11,7 @@ from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.monitoring.change_detection import PART, ChannelGap
-from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
@@ -28,7 +28,7 @@ class Watched:
 
     time: float
     gaps: tuple[ChannelGap, ...]
-    carried: Carried | None
+    carried: CarriedPayload | None
 
 
 def watched(urdf: str, messages: Iterable[tuple[float, Received]], solve_period: float = _NEVER) -> Iterator[Watched]:
@@ -36,7 +36,7 @@ def watched(urdf: str, messages: Iterable[tuple[float, Received]], solve_period:
     worker = Worker(Session(urdf, Configuration(), "robot.urdf"), solve_period, Listener())
     with closing(worker):
         for end, batch in _batches(messages):
-            worker.take(batch)
+            worker.enqueue(batch)
             _wait(worker)
             status = worker.status(active=True)
             yield Watched(end, status.gaps, status.carried)

@@ -9,9 +9,9 @@ import numpy as np
 from benchmarks.excite.robots import Recorded, identified, predicted_error, recorded, task, truth, wish
 from benchmarks.report import Report
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import Belief, known_before, weight_of
+from geomid_ros.excitation.knowledge import Belief, belief_from_estimate, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
-from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
+from geomid_ros.excitation.search import Search, expected_error, random_feasible, typical_motions
 from geomid_ros.session.excitation import DesignTask
 from geomid_ros.types import FloatArray
 
@@ -55,7 +55,7 @@ def against_random(report: Report, robots: list[str], seconds: float, truths: in
 
 
 def _weight(own: DesignTask, knowledge: Belief, random: np.random.Generator) -> FloatArray:
-    others = other_motions(own.feasibility, own.form, random, _EXPECTED)
+    others = typical_motions(own.feasibility, own.form, random, _EXPECTED)
     return weight_of("prediction", knowledge, others)
 
 
@@ -128,18 +128,18 @@ def _error_after(
 
 def _pick_and_place(own: DesignTask, true: FloatArray, random: np.random.Generator) -> _Poor:
     """A minute of the same two small motions to and fro."""
-    form = MotionForm(period=6.0, slow_share=0.999, repeats=10)
+    form = MotionForm(period=6.0, slow_fraction=0.999, repeats=10)
     motion = ExcitingMotion(
         form, own.feasibility.start, random.standard_normal((form.size, len(own.feasibility.start)))
     )
     keep = np.zeros((form.size, 1))
     keep[form.waves :] = 1.0
     small = motion.scaled(keep)
-    feasible = own.feasibility.made_feasible(small.scaled(0.5 * own.feasibility.largest_scale(small)))
+    feasible = own.feasibility.shrunk_to_feasible(small.scaled(0.5 * own.feasibility.largest_scale(small)))
     recording = recorded(own.knowledge, feasible, true, random)
     found = identified(own.knowledge, [recording])
     return _Poor(
-        recording, known_before(own.knowledge.model, found.posterior, own.knowledge.sigmas.tolist(), "estimate")
+        recording, belief_from_estimate(own.knowledge.model, found.posterior, own.knowledge.sigmas.tolist(), "estimate")
     )
 
 

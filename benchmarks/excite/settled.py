@@ -18,7 +18,7 @@ from benchmarks.excite.robots import SPREAD, task, wish
 from benchmarks.report import Report
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
 from geomid_ros.excitation.motion import ExcitingMotion
-from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion, responses
+from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, discriminating_motion, responses
 from geomid_ros.excitation.search import random_feasible
 from geomid_ros.model.effects import OnLink, joints_of
 from geomid_ros.model.measurement import MeasurementModel
@@ -78,7 +78,7 @@ def _outcomes(own: DesignTask, case: Case, folder: Path) -> list[tuple[list[str]
     random = np.random.default_rng(3)
     others = [random_feasible(own.feasibility, own.form, random) for _ in range(3)]
     judge = _sized(own, case, others, folder)
-    designed = deciding_motion(own.feasibility, own.form, judge, random)
+    designed = discriminating_motion(own.feasibility, own.form, judge, random)
     judge.prepare(others[0].scaled(0.5))
     found = []
     for true_is_found in (True, False):

@@ -18,7 +18,7 @@ from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Status
 from geomid_ros.monitoring.change_detection import ChannelGap
-from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -114,7 +114,7 @@ def _everything() -> Status:
         accounts={"TOPIC": Account(1, once, once, Counter({"REMARK": 1}), 1)},
         gaps=(ChannelGap("CHANNEL", 1.0, None),),
         estimate=_estimate(),
-        carried=Carried("LINK", slice(10), np.ones(10), np.eye(10), 0, 0),
+        carried=CarriedPayload("LINK", slice(10), np.ones(10), np.eye(10), 0, 0),
     )
 
 
@@ -147,7 +147,7 @@ def _estimate() -> Estimate:
         parameters=np.ones(10),
         channels=("CHANNEL",),
         sigmas=one,
-        spreads=one,
+        prior_stds=one,
         rms_nominal=one,
         rms=one,
         information=LinksInformation(np.eye(10), np.zeros(10)),

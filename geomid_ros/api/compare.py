@@ -11,8 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geomid_ros.api.options import CompareOptions
-from geomid_ros.api.robot import beside
-from geomid_ros.api.verify import doubts_of, read_to_judge
+from geomid_ros.api.robot import identified_urdf_path
+from geomid_ros.api.verify import read_test_samples, reasons_for_doubt
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Difference, RobotValues, compared
@@ -21,7 +21,7 @@ from geomid_ros.exports.payload import Summand, total
 from geomid_ros.files.models.effects_file import coefficients_of
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.files.schema import entry, plain
+from geomid_ros.files.schema import attributes_entry, to_document
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
 from geomid_ros.report.result_pages import ChannelErrors, ComparisonPage, write_comparison_page
@@ -55,13 +55,16 @@ class Comparison(ComparisonPage):
     def document(self) -> dict[str, Any]:
         """The whole comparison as a dictionary, for programs."""
         numbers = ("place", "effect", "parameter", "first", "second", "differs")
-        return entry(self, "first", "second", "judged_on", "doubts", "notes") | {
+        return attributes_entry(self, "first", "second", "judged_on", "doubts", "notes") | {
             "differences": [
-                entry(each, *numbers) | {"joint_interval": plain(each.half_width)} for each in self.compared.differences
+                attributes_entry(each, *numbers) | {"joint_interval": to_document(each.half_width)}
+                for each in self.compared.differences
             ],
-            "changed_links": plain(self.compared.changed),
-            "not_compared": plain(self.compared.not_compared),
-            "errors": [{"channel": each.name} | entry(each, "unit", "first", "second") for each in self.errors],
+            "changed_links": to_document(self.compared.changed),
+            "not_compared": to_document(self.compared.not_compared),
+            "errors": [
+                {"channel": each.name} | attributes_entry(each, "unit", "first", "second") for each in self.errors
+            ],
         }
 
     def report(self, path: PathLike) -> Path:
@@ -132,7 +135,7 @@ def _robot(side: _Side) -> str:
     """Return the name of the robot; empty if neither the result nor its identified.urdf gives one."""
     if not isinstance(side, EstimateFile):
         return ""
-    urdf = beside(side.source)
+    urdf = identified_urdf_path(side.source)
     return side.robot or (read_xml(read_urdf(urdf), str(urdf)).get("name", "") if urdf.is_file() else "")
 
 
@@ -213,12 +216,12 @@ def _joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErr
 def _errors_on_bags(side: _Side, options: CompareOptions) -> tuple[dict[str, tuple[float, str]], list[str]]:
     """Return the residual RMS of a side on the recordings by channel, with its unit, and reasons not to trust it."""
     if isinstance(side, EstimateFile):
-        session, samples = read_to_judge(options, options.bag, model=side.source)
+        session, samples = read_test_samples(options, options.bag, model=side.source)
         parameters = session.known_parameters
     else:
         names = list(dict.fromkeys(effect.effect for effect in side.effects))
-        session, samples = read_to_judge(replace(options, urdf=side.source), options.bag, effects=names)
+        session, samples = read_test_samples(replace(options, urdf=side.source), options.bag, effects=names)
         coefficients = coefficients_of(session.model, side.effects)  # the friction in the URDF
         parameters = np.concatenate([session.model.nominal_parameters[: -len(coefficients) or None], coefficients])
     errors = zip(session.model.channels, session.rms(samples, parameters).tolist(), strict=True)
-    return {channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session)
+    return {channel.name: (error, channel.unit) for channel, error in errors}, reasons_for_doubt(session)

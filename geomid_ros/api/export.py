@@ -11,10 +11,10 @@ from typing import NamedTuple
 from geomid_ros.api.options import ExportOptions, SampleOptions
 from geomid_ros.api.robot import entries
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, described
+from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, described
 from geomid_ros.exports.formats import CONTROLLERS, JSON
 from geomid_ros.exports.model import Model, read_model
-from geomid_ros.exports.patch_mjcf import into_mjcf
+from geomid_ros.exports.patch_mjcf import patch_user_mjcf
 from geomid_ros.exports.payload import Export, attached, chosen, difference, each_link
 from geomid_ros.exports.posterior_samples import (
     DrawnRobots,
@@ -25,7 +25,7 @@ from geomid_ros.exports.posterior_samples import (
     torque_spread,
 )
 from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.readers import DESCRIBED_FOR, INTO
+from geomid_ros.files.models.readers import DESCRIBED_FOR, EXISTING_MJCF
 from geomid_ros.options import Progress, silent, takes
 from geomid_ros.report.pictures import torque_picture
 from geomid_ros.session.options import PathLike, Texts
@@ -54,7 +54,7 @@ def export(options: ExportOptions) -> Exported:
     """
     _check(options)
     tool = options.tool
-    reader = "" if tool in CONTROLLERS else tool if options.into is None else INTO
+    reader = "" if tool in CONTROLLERS else tool if options.into is None else EXISTING_MJCF
     own = read_model(Path(options.model), reader)
     reference = None if options.without is None else read_model(Path(options.without))
     doubts = tuple(each.doubt for each in (own, reference) if each is not None and each.doubt)
@@ -66,7 +66,7 @@ def export(options: ExportOptions) -> Exported:
     if options.frame:
         return Exported(DESCRIPTIONS[tool].payload(_payload(own, options.frame, options.links, reference)), (), doubts)
     result = _whole(own, options)
-    return Exported(result.text, tuple(result.lacks), doubts)
+    return Exported(result.text, tuple(result.omissions), doubts)
 
 
 def check_into(tool: str, into: PathLike | None) -> None:
@@ -87,9 +87,9 @@ def _check(options: ExportOptions) -> None:
         raise InputError("frame is missing: in the axes of which link is the payload wanted?")
 
 
-def _whole(model: Model, options: ExportOptions) -> Whole:
+def _whole(model: Model, options: ExportOptions) -> DescriptionFiles:
     if options.into is not None:
-        return into_mjcf(model, Path(options.into))
+        return patch_user_mjcf(model, Path(options.into))
     return described(model, options.tool, each_link(model), options.package_path or {})
 
 

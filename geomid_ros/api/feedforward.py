@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.api.options import FeedforwardOptions, FillOptions
-from geomid_ros.api.robot import beside, configuration, description
+from geomid_ros.api.robot import configuration, description, identified_urdf_path
 from geomid_ros.control.feedforward import MotorEfforts, interpolation_errors, with_efforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import Trajectory
@@ -75,10 +75,10 @@ def feedforward(options: FeedforwardOptions) -> Feedforward:
     if not isinstance(given, Trajectory):
         given, source = _read(Path(given), options.topic), str(given)
     session = robot_to_move(options, options.model)
-    return filled(session, given, options.tolerance, source)
+    return fill_efforts(session, given, options.tolerance, source)
 
 
-def filled(session: Session, given: Trajectory, tolerance: float, source: str) -> Feedforward:
+def fill_efforts(session: Session, given: Trajectory, tolerance: float, source: str) -> Feedforward:
     """Fill in efforts for a session of :func:`robot_to_move`; ``source`` names the trajectory. Raises InputError."""
     if given.duration > LONGEST:
         raise InputError(f"{source}: takes {given.duration:.4g} s, expected at most {LONGEST:g} s")
@@ -118,7 +118,7 @@ def _check_model(options: DescriptionOptions, file: EstimateFile) -> None:
             f"{file.source}: its base floats: efforts of legs depend on the forces of the ground, which no trajectory "
             "says"
         )
-    if options.urdf is None and not beside(file.source).is_file():
+    if options.urdf is None and not identified_urdf_path(file.source).is_file():
         raise InputError(f"{file.source}: there is no identified.urdf beside it; add --urdf ROBOT.urdf")
 
 

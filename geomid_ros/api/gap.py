@@ -14,15 +14,15 @@ from geomid_ros.api.options import GapOptions, RecordingOptions
 from geomid_ros.api.robot import bag_paths, configuration, description, recordings
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, recording_verdict
 from geomid_ros.errors import InputError
-from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, as_described
-from geomid_ros.exports.handover import JudgedFile, file_name, judge
+from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, as_described
+from geomid_ros.exports.handover import FileTest, evaluate_description, file_name
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.tables import tables, write_tables
-from geomid_ros.files.schema import plain
+from geomid_ros.files.schema import to_document
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, shared, silent, takes
@@ -72,7 +72,7 @@ class Gap:
         return self.result.findings
 
     @cached_property
-    def handover(self) -> JudgedFile | None:
+    def handover(self) -> FileTest | None:
         """Prediction error of the description for :attr:`reader` on the held-out samples, after its reader has loaded
         it. None with a simulator of the user's, because the rest of the model is in that simulator.
 
@@ -82,10 +82,10 @@ class Gap:
         if self.with_simulator:
             return None
         identified = dict(zip(self.result.channels, (self.result.gap.after * self.result.floor).tolist(), strict=True))
-        return judge(self.session, self.reader, self._description, self.held_out, identified)
+        return evaluate_description(self.session, self.reader, self._description, self.held_out, identified)
 
     @cached_property
-    def _description(self) -> Whole:
+    def _description(self) -> DescriptionFiles:
         """Description for :attr:`reader` of the model as it is written."""
         with TemporaryDirectory() as folder:
             write_found(Path(folder), self.session, self.result, self.reader)
@@ -108,7 +108,7 @@ class Gap:
             "robot": session.robot.name,
             "recordings": [path.name for path, _ in self.bags.shares],
             "judged_seconds": float(elapsed(stamps)[-1]) if len(stamps) else 0.0,
-            "known": plain(session.loaded.effects),
+            "known": to_document(session.loaded.effects),
             "not_simulated": self.not_simulated,
         }
         remarks = {
@@ -170,7 +170,7 @@ class Gap:
         if description not in files:
             files.append(description)
             write_text(description, self._description.text)
-        for name, text in self._description.beside.items():
+        for name, text in self._description.extra_files.items():
             files.append(folder / name)
             write_text(folder / name, text)
         written = [folder / "gap.json", *write_tables(folder, tables(document))]

@@ -21,14 +21,14 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
-from geomid_ros.exports.handover import HandedOver, JudgedFile
+from geomid_ros.exports.handover import DescriptionTest, FileTest
 from geomid_ros.files.disk import staged, write_json, write_text
-from geomid_ros.files.models.effects_file import unsaid, write_sidecar
+from geomid_ros.files.models.effects_file import unrepresentable, write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
 from geomid_ros.files.models.tables import tables, write_tables
-from geomid_ros.gap.evidence.features import StandingRemainder
+from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples
@@ -105,12 +105,12 @@ class Identification:
         return replace(verdict, word=DOUBTFUL, reasons=(*verdict.reasons, *worse)) if worse else verdict
 
     @cached_property
-    def written(self) -> HandedOver:
+    def written(self) -> DescriptionTest:
         """Robot description written for :attr:`reader`."""
-        return HandedOver(self.session, self.estimate, self.reader)
+        return DescriptionTest(self.session, self.estimate, self.reader)
 
     @cached_property
-    def handover(self) -> JudgedFile:
+    def handover(self) -> FileTest:
         """Prediction error of :attr:`written` on :attr:`judged`, after its reader has loaded it again.
 
         Raises:
@@ -205,7 +205,7 @@ class Identification:
     @property
     def not_written(self) -> str:
         """Effects that the description for :attr:`reader` cannot represent, in a sentence; empty if there are none."""
-        names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ELEMENTS[self.reader])
+        names = unrepresentable(model_effects(self.estimate, self.session.loaded.effects), ELEMENTS[self.reader])
         sentence = f"Not representable in {self.written.name}: {'; '.join(names)}"
         return f"{sentence}. The file is fitted without them; estimate.json has them." if names else ""
 
@@ -315,7 +315,7 @@ class Identification:
         write_picture(picture, self.plot())
         return [picture, self.report(folder / "report.html", command=command)]
 
-    def _remainder(self, folder: Path, progress: Progress) -> StandingRemainder | None:
+    def _remainder(self, folder: Path, progress: Progress) -> KnownRemainder | None:
         """Return the remainder of the estimate in ``folder`` on the bags, as ``geomid gap --model`` will compute it.
         Return None and add a note if it cannot be computed: the estimate is worth keeping without it."""
         urdf, configuration, source = self.same_again

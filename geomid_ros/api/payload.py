@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from geomid_ros.api.options import PayloadOptions
-from geomid_ros.api.robot import bag_paths, configuration, description, efforts_of_command, topics
-from geomid_ros.exports.weighed_payload import Payload, weigh_at
-from geomid_ros.files.models.posterior import beside, read_posterior
+from geomid_ros.api.robot import bag_paths, check_command_efforts, configuration, description, topics
+from geomid_ros.exports.weighed_payload import Payload, identify_payload_at
+from geomid_ros.files.models.posterior import posterior_path, read_posterior
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import takes
 from geomid_ros.session.options import Paths, paths
@@ -28,8 +28,8 @@ def weigh_payload(options: PayloadOptions) -> Payload:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
     model = _estimate(options.empty)
-    posterior = None if model is None else read_posterior(beside(model))
-    parameters = efforts_of_command(options, configuration(options, model))
+    posterior = None if model is None else read_posterior(posterior_path(model))
+    parameters = check_command_efforts(options, configuration(options, model))
     both = bag_paths(options.empty) if model is None else [], bag_paths(options.loaded)
     robot = description(options, [*both[0], *both[1]], model)
     session, (before, after) = robot.read(
@@ -37,7 +37,9 @@ def weigh_payload(options: PayloadOptions) -> Payload:
     )
     session.review.check_description()
     options.progress("solving", 0.0)
-    return weigh_at(session, posterior or before, after, parameters["payload.frame"], parameters["payload.gain"])
+    return identify_payload_at(
+        session, posterior or before, after, parameters["payload.frame"], parameters["payload.gain"]
+    )
 
 
 def _estimate(empty: Paths) -> Path | None:
@@ -50,5 +52,5 @@ def _all(session: Session, bags: Sequence[Path], options: PayloadOptions) -> Seq
     """Read all samples of the bags."""
     if not bags:
         return ()
-    session.review.judge_apart()
+    session.review.check_separately()
     return read_fitted(session, Bags(fitted=bags, hold_out=0.0, topics=topics(options)), options.progress)

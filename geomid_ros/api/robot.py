@@ -41,7 +41,7 @@ def entries(argument: str, given: Texts) -> list[str]:
     return result
 
 
-def beside(model: PathLike) -> Path:
+def identified_urdf_path(model: PathLike) -> Path:
     """Path of the identified.urdf in the folder of an estimate.json."""
     return Path(model).parent / "identified.urdf"
 
@@ -87,7 +87,7 @@ def description(options: DescriptionOptions, bags: Sequence[Path], model: PathLi
         raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is not a {SUFFIX} file")
     if urdf is not None:
         return DescribedRobot(read_urdf(Path(urdf)), str(urdf))
-    if model is not None and (identified := beside(model)).is_file():
+    if model is not None and (identified := identified_urdf_path(model)).is_file():
         text, source = read_urdf(identified), str(identified)
     else:
         text, source = recorded_description(bags)
@@ -145,7 +145,7 @@ def _set_by(options: Options) -> dict[str, Any]:
     return values
 
 
-def efforts_of_command(options: RobotOptions, parameters: Configuration) -> Configuration:
+def check_command_efforts(options: RobotOptions, parameters: Configuration) -> Configuration:
     """Return the ``parameters`` if nothing is simulated. Raises InputError if the set-points would be ignored."""
     if options.command is not None and not parameters.gains:
         raise InputError(

@@ -22,7 +22,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from geomid_ros.api.options import RobotOptions, VerifyOptions
-from geomid_ros.api.robot import bag_paths, beside, configuration, description, efforts_of_command, topics
+from geomid_ros.api.robot import (
+    bag_paths,
+    check_command_efforts,
+    configuration,
+    description,
+    identified_urdf_path,
+    topics,
+)
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.models.estimate_file import EstimateFile
@@ -71,22 +78,22 @@ def verify(options: VerifyOptions) -> Verification:
     required = [Requirement.parse(text) for text in texts(options.require)]
     file = EstimateFile.read(Path(options.model))
     relative = next((each for each in required if each.reference == "urdf"), None)
-    if relative and options.urdf is None and (path := beside(options.model)).is_file():
+    if relative and options.urdf is None and (path := identified_urdf_path(options.model)).is_file():
         raise InputError(
             f"requirement '{relative.text}' compares with the URDF before, and {path} is the identified one; name the "
             "former with --urdf"
         )
-    session, samples = read_to_judge(options, options.validate, model=options.model, cutoff=file.cutoff)
+    session, samples = read_test_samples(options, options.validate, model=options.model, cutoff=file.cutoff)
     values = _values(session, samples, file)
     return Verification(
         session=session,
         rms=values["rms"],
-        doubts=doubts_of(session),
+        doubts=reasons_for_doubt(session),
         outcomes=[outcome for requirement in required for outcome in requirement.checked(values)],
     )
 
 
-def read_to_judge(
+def read_test_samples(
     options: RobotOptions,
     bags: Paths,
     *,
@@ -108,11 +115,11 @@ def read_to_judge(
     parameters = configuration(options, model, effects=[*effects], candidates=[])
     if cutoff is not None and "filter.cutoff" not in parameters.given:
         parameters = parameters.with_values({"filter.cutoff": float(cutoff)})
-    checked = efforts_of_command(options, parameters)
+    checked = check_command_efforts(options, parameters)
     return robot.read(Session, checked, lambda session: read_fitted(session, recorded, options.progress))
 
 
-def doubts_of(session: Session) -> list[str]:
+def reasons_for_doubt(session: Session) -> list[str]:
     """Return reasons not to trust a model or the recordings that it was tested on."""
     return [*filter(None, [session.loaded.doubt]), *recording_verdict(session.review.findings).reasons]
 

@@ -23,7 +23,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 PROBABLE = 0.9
 """Least probability of a named cause. A recording counts as many independent samples as the shortest one checked."""
-REASON = 4.0
+LARGEST_MASS_FACTOR = 4.0
 """Largest plausible factor between the masses of a URDF and the true ones: a larger gain is a unit."""
 TILT = np.radians(25.0)
 """Largest plausible tilt of a base, and error of a joint's zero [rad]."""
@@ -34,7 +34,7 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Judged:
+class CandidateFit:
     """Evaluation of a recording with a candidate undone.
 
     Attributes:
@@ -49,17 +49,19 @@ class Judged:
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
-    def mended(mended: Subject, units: FloatArray, found: Evidence | None = None, **estimated: FloatArray) -> Judged:
+    def of_corrected(
+        mended: Subject, units: FloatArray, found: Evidence | None = None, **estimated: FloatArray
+    ) -> CandidateFit:
         """Evaluate a corrected subject.
 
         Args:
-            mended: with the candidate undone.
+            of_corrected: with the candidate undone.
             units: ``(C,)`` one standard deviation of the measured numbers, in its efforts.
             found: its evidence in these units, by default without further unknowns.
-            **estimated: see :class:`Judged`.
+            **estimated: see :class:`CandidateFit`.
         """
         found = mended.in_units(units).nominal if found is None else found
-        return Judged(log=found.log, sigmas=found.sigmas, **estimated)
+        return CandidateFit(log=found.log, sigmas=found.sigmas, **estimated)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,10 +80,10 @@ class Candidate:
         changes: True if it begins during the recording: then alternate stretches of time are its parts.
     """
 
-    cause: Cause | Callable[[Judged], Cause]
+    cause: Cause | Callable[[CandidateFit], Cause]
     concerned: Sequence[int] | EllipsisType = ...
     read: Callable[[Subject], Subject] | None = None
-    undo: Callable[[Subject], Judged] | None = None
+    undo: Callable[[Subject], CandidateFit] | None = None
     sizes: FloatArray | float = 1.0
     sources: IntArray | EllipsisType = ...
     alone: bool = True
@@ -92,29 +94,29 @@ class Candidate:
         """Resemblance of the reading and the prediction, see :attr:`Subject.resemblance`."""
         return np.inf if self.read is None else self.read(few).resemblance
 
-    def judged(self, subject: Subject) -> Judged:
+    def judged(self, subject: Subject) -> CandidateFit:
         """Evaluate a subject with the candidate undone."""
         if self.undo is not None:
             return self.undo(subject)
         read = subject if self.read is None else self.read(subject)
-        return Judged.mended(read, self.sizes * subject.spread[self.sources])
+        return CandidateFit.of_corrected(read, self.sizes * subject.spread[self.sources])
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class CandidateTest:
     """A candidate that was evaluated on a subject."""
 
     candidate: Candidate
     subject: Subject
-    judged: Judged
+    judged: CandidateFit
     cause: Cause
 
     @staticmethod
-    def of(candidate: Candidate, subject: Subject) -> Tried:
+    def of(candidate: Candidate, subject: Subject) -> CandidateTest:
         """Evaluate a candidate."""
         judged = candidate.judged(subject)
         cause = candidate.cause
-        return Tried(candidate, subject, judged, cause if isinstance(cause, Cause) else cause(judged))
+        return CandidateTest(candidate, subject, judged, cause if isinstance(cause, Cause) else cause(judged))
 
     @property
     def gain(self) -> float:
@@ -126,7 +128,7 @@ class Tried:
         """Kind and places of the cause."""
         return self.cause.kind, self.cause.places
 
-    def shares_joints(self, others: Sequence[Tried]) -> bool:
+    def shares_joints(self, others: Sequence[CandidateTest]) -> bool:
         """True if it concerns a joint that another one concerns."""
         return not set(self.cause.places).isdisjoint(place for other in others for place in other.cause.places)
 
@@ -169,13 +171,13 @@ class Decision:
     """
 
     finding: Finding | None
-    doubted: Sequence[Tried]
+    doubted: Sequence[CandidateTest]
     count: int
     sigmas: FloatArray
     level: Cause | None
 
 
-def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
+def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Decision:
     """Choose the most probable cause that repeats, or one that is settled, with its rivals.
 
     It is certain unless several other places explain as much. If a probable cause does not repeat, nothing else is
@@ -207,7 +209,7 @@ def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
     return Decision(finding=finding, doubted=(), count=count, sigmas=best.judged.sigmas, level=level)
 
 
-def contradicted(doubted: Iterable[Tried], count: int) -> tuple[Finding, ...]:
+def contradicted(doubted: Iterable[CandidateTest], count: int) -> tuple[Finding, ...]:
     """Report an unknown fault if a repeating cause is probable on the joints whose efforts count on this robot. It may
     explain other joints worse, or be hidden by a cause that does not repeat. Whatever it is, a correct recording does
     not explain these efforts.
@@ -225,9 +227,9 @@ def contradicted(doubted: Iterable[Tried], count: int) -> tuple[Finding, ...]:
     return ()
 
 
-def _doubted(probable: Sequence[Tried]) -> list[Tried]:
+def _doubted(probable: Sequence[CandidateTest]) -> list[CandidateTest]:
     """Causes more probable than the first believed one: not believed, or on joints of a more probable doubted one."""
-    doubted: list[Tried] = []
+    doubted: list[CandidateTest] = []
     for one in probable:
         if one.believed and not one.shares_joints(doubted):
             break
@@ -235,7 +237,7 @@ def _doubted(probable: Sequence[Tried]) -> list[Tried]:
     return doubted
 
 
-def _most_probable(tried: Sequence[Tried], count: int) -> list[Tried]:
+def _most_probable(tried: Sequence[CandidateTest], count: int) -> list[CandidateTest]:
     """The fewest causes, the best of each name, that are together probable among ``count``, the most probable first;
     none if possibly nothing is wrong."""
     ordered = [*{one.name: one for one in sorted(tried, key=lambda one: one.gain)}.values()]

@@ -13,9 +13,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import REASON, STEP, TILT, Candidate, Judged
+from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, STEP, TILT, Candidate, CandidateFit
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.evidence import HALF, SPREAD, payload_factor
+from geomid_ros.checks.evidence import MOST, SPREAD, payload_factor
 from geomid_ros.checks.flexible import Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
 from geomid_ros.checks.subject import STRETCHES, Subject
@@ -64,7 +64,7 @@ def changes(subject: Subject) -> Iterator[Candidate]:
 
 
 def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int] | EllipsisType) -> Candidate:
-    def undo(subject: Subject) -> Judged:
+    def undo(subject: Subject) -> CandidateFit:
         gain, always = subject.flexible.gain(_onset(subject, kind, place)), subject.flexible.gain(kind.columns(subject))
         beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
         return _judged(subject, beyond, slice(main, main + 1))
@@ -72,10 +72,10 @@ def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: li
     return Candidate(undo=undo, cause=cause, concerned=concerned, changes=True)
 
 
-def _judged(subject: Subject, gain: Gain, main: slice) -> Judged:
+def _judged(subject: Subject, gain: Gain, main: slice) -> CandidateFit:
     """Evaluate a gain over the flexible fit, with the sizes of its ``main`` columns."""
     nominal = subject.nominal
-    return Judged(
+    return CandidateFit(
         log=nominal.log + gain.per_instant * len(subject.samples),
         sigmas=nominal.sigmas * gain.ratios,
         estimates=gain.coefficients[main],
@@ -173,7 +173,7 @@ def _by_position(subject: Subject) -> FloatArray:
 
 def _main(sizes: FloatArray) -> list[int]:
     """Channels whose size is not small compared with the largest."""
-    return [*np.flatnonzero(np.abs(sizes) >= HALF * float(np.max(np.abs(sizes))))]
+    return [*np.flatnonzero(np.abs(sizes) >= MOST * float(np.max(np.abs(sizes))))]
 
 
 def switches(subject: Subject) -> Iterator[Candidate]:
@@ -207,10 +207,10 @@ def _factors(subject: Subject, place: float) -> list[float]:
     if np.all(later) or not np.any(later):
         return []
     factor = float(np.median(size(later) / size(~later)))
-    return [-1.0] if 1.0 / REASON <= factor <= REASON else [factor, -factor]
+    return [-1.0] if 1.0 / LARGEST_MASS_FACTOR <= factor <= LARGEST_MASS_FACTOR else [factor, -factor]
 
 
-def _switched(recording: Subject, place: float, factor: float) -> Judged:
+def _switched(recording: Subject, place: float, factor: float) -> CandidateFit:
     """Evaluate the better of two readings, with efforts in N m before the place or after it, on the samples in motion:
     stiction is arbitrary at rest."""
     subject = recording.moving
@@ -223,7 +223,7 @@ def _switched(recording: Subject, place: float, factor: float) -> Judged:
             mended = subject.with_efforts(subject.measured * gains[:, None])
             volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
             volume += len(gains) * float(np.sum(np.log(subject.spread / mended.spread)))
-            judged = Judged.mended(mended, mended.spread)
+            judged = CandidateFit.of_corrected(mended, mended.spread)
             readings.append(replace(judged, log=judged.log + volume))
     best = max(readings, key=lambda judged: judged.log)
     log = recording.nominal.log + best.log - subject.nominal.log
@@ -245,7 +245,7 @@ def lags(subject: Subject) -> Iterator[Candidate]:
     # If a longer lag fits at a joint, it is no lag there, and perhaps nowhere.
     too_long = np.abs(separate.coefficients) > np.maximum(STDS_OF_95 * separate.deviations, 1.0)
     main = [*np.flatnonzero(_matters(separate))]
-    if main and count > 1 and common.per_instant <= HALF * separate.per_instant and not np.any(too_long):
+    if main and count > 1 and common.per_instant <= MOST * separate.per_instant and not np.any(too_long):
         lags = _MOST_LAG * separate.coefficients[main]
         yield _late(subject, main, lags, lambda of: by_channel(_rates(of))[:, :, main])
 
@@ -261,7 +261,7 @@ def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns)
     by_joint = ", ".join(f"that of '{name}' about {time}" for name, time in zip(names, times, strict=True))
     cause = Cause.of("late", names, sizes=f"all are about {times[0]}" if len(set(times)) == 1 and every else by_joint)
 
-    def undo(of: Subject) -> Judged:
+    def undo(of: Subject) -> CandidateFit:
         gain = of.flexible.gain(columns(of))
         return _judged(of, gain, slice(None))
 
@@ -270,7 +270,7 @@ def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns)
 
 def _rates(subject: Subject) -> FloatArray:
     """Change of the fitted links' efforts for a lag of ``_MOST_LAG``, ``(N, C, 1)``."""
-    links = subject.linked(subject.flexible.links)
+    links = subject.parameters_at(subject.flexible.links)
     times = (subject.later.stamps - subject.samples.stamps) * 1e-9
     change = subject.with_samples(subject.later).regressor @ links - subject.flexible.rigid
     rates = np.divide(change, times[:, None], out=np.zeros_like(change), where=times[:, None] > 0.0)

@@ -10,11 +10,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import Decision, Tried, contradicted, decide
+from geomid_ros.checks.candidates import CandidateTest, Decision, contradicted, decide
 from geomid_ros.checks.causes import MODEL, Cause, Finding
 from geomid_ros.checks.changes import changes, lags
-from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA
-from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
+from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
+from geomid_ros.checks.instants import FEWEST, KeptSamples, RecentMotion, SampleReservoir
 from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet, unnamed_feet
 from geomid_ros.checks.obvious import frozen_position, held_efforts, impossible_description, wrong_gains
 from geomid_ros.checks.subject import Subject
@@ -24,7 +24,7 @@ from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, STILL, Samples
+from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray
 
 
@@ -33,7 +33,7 @@ class Excerpt:
     """Excerpt of recordings: ``kept``, a few samples of all of them; ``stretch``, the last samples in motion, None
     without any; ``standing``, such a stretch with all feet on the ground; ``whole``: True if no positions jump."""
 
-    kept: Kept
+    kept: KeptSamples
     stretch: Samples | None
     standing: Samples | None
     whole: bool = True
@@ -71,7 +71,7 @@ class JudgementTask:
         wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
         return replace(judged, findings=tuple(chain.from_iterable(wrong)))
 
-    def _joints(self, kept: Kept, continuous: bool, standing: Samples | None) -> Judgement:
+    def _joints(self, kept: KeptSamples, continuous: bool, standing: Samples | None) -> Judgement:
         robot, legs = self.model.robot, self.model.legs
         if self.controller and (gain_findings := wrong_gains(self.controller, kept.samples, robot.joint_names)):
             return Judgement(gain_findings)
@@ -112,8 +112,8 @@ class RecordingCheck:
         """
         self._task = task
         self._judge = judge
-        self._instants = Instants()
-        self._stretch, self._standing = Stretch(), Stretch()
+        self._instants = SampleReservoir()
+        self._stretch, self._standing = RecentMotion(), RecentMotion()
         self._judged_at = 0.0
         self.remarks: tuple[str, ...] = ()
         """What to know of a recording that may be right, once it has been judged."""
@@ -157,11 +157,11 @@ class RecordingCheck:
         samples, model = self.recorded, self._task.model
         if samples is None or not model.layout.efforts:
             return []
-        measured = np.mean(np.isfinite(samples.effort), axis=0) >= HALF
+        measured = np.mean(np.isfinite(samples.effort), axis=0) >= MOST
         return [name for name, is_measured in zip(model.robot.joint_names, measured, strict=True) if not is_measured]
 
 
-def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray, *, whole: bool = True) -> Judgement:
+def judge_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray, *, whole: bool = True) -> Judgement:
     """Check the efforts of a recording.
 
     Args:
@@ -171,8 +171,8 @@ def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray, *, who
         whole: True if something may change during the recording.
     """
     subject = Subject.of(model.robot, kept, gains)
-    moves = np.std(kept.samples.velocity, axis=0) > STILL
-    constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= HALF)
+    moves = np.std(kept.samples.velocity, axis=0) > REST_SPEED
+    constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= MOST)
     constant[subject.joints] = False
     names = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
     findings = (Finding(cause=Cause.of("constant", names)),) if names else ()
@@ -206,22 +206,22 @@ def _decided(subject: Subject, continuous: bool) -> Decision:
     """Decide which cause explains the efforts better than a correct recording."""
     throughout, count = transforms(subject)
     timed = [*(changes(subject) if continuous else ()), *lags(subject)]
-    tried = [Tried.of(candidate, subject) for candidate in (*throughout, *timed)]
+    tried = [CandidateTest.of(candidate, subject) for candidate in (*throughout, *timed)]
     decision = decide(tried, count + len(timed), subject.nominal)
-    if np.all(decision.sigmas > FOLLOWS):
+    if np.all(decision.sigmas > LARGEST_RESIDUAL):
         return replace(decision, finding=Finding(cause=Cause.of("unrelated", subject.names)), level=None)
     return decision
 
 
 def _unexplained(subject: Subject) -> tuple[Finding, ...]:
     """Report joints whose efforts neither links and friction nor curves of their motion explain, for any reason."""
-    curved = subject.flexible.nominal.sigmas > FOLLOWS
+    curved = subject.flexible.nominal.sigmas > LARGEST_RESIDUAL
     residual = np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan)
     channels = [*zip(subject.names, subject.units, strict=True)]
-    return badly_explained(channels, rms(residual), subject.spread, partial(hint, subject), allowed=FOLLOWS)
+    return badly_explained(channels, rms(residual), subject.spread, partial(hint, subject), allowed=LARGEST_RESIDUAL)
 
 
 def is_model(subject: Subject) -> bool:
     """True if efforts are the prediction of the URDF, without friction or errors."""
     residual_rms = np.sqrt(np.mean((subject.measured - subject.predicted) ** 2, axis=0))
-    return bool(np.all(residual_rms < HALF * LEAST_SIGMA * subject.spread))
+    return bool(np.all(residual_rms < MOST * LEAST_SIGMA * subject.spread))

@@ -9,9 +9,9 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from geomid_ros.checks.candidates import REASON, ROUNDS, TILT, Candidate, Judged
+from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, ROUNDS, TILT, Candidate, CandidateFit
 from geomid_ros.checks.causes import Cause, gain_settings
-from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA
+from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.types import FloatArray
@@ -72,15 +72,15 @@ def _couplings(subject: Subject) -> Iterator[Candidate]:
 def _frictions(subject: Subject) -> Iterator[Candidate]:
     """Yield a candidate for friction that drives joints, while weights and inertias are right in the efforts."""
     fitted = subject.evidence(either_sign=True)
-    friction = subject.rubbed(fitted)
+    friction = subject.friction_efforts(fitted)
     power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
     drives = (power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)
     concerned = np.flatnonzero(drives).tolist()
     if concerned and not np.any(subject.opposite(fitted)):
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
 
-        def undo(subject: Subject) -> Judged:
-            return Judged.mended(subject, subject.spread, subject.evidence(either_sign=drives))
+        def undo(subject: Subject) -> CandidateFit:
+            return CandidateFit.of_corrected(subject, subject.spread, subject.evidence(either_sign=drives))
 
         yield Candidate(undo=undo, cause=cause, concerned=concerned)
 
@@ -93,14 +93,16 @@ def _magnitudes(subject: Subject) -> Iterator[Candidate]:
         return
     cause = Cause.of("magnitude", [subject.names[joint] for joint in concerned])
 
-    def undo(subject: Subject) -> Judged:
+    def undo(subject: Subject) -> CandidateFit:
         measured = subject.measured.copy()
         explained = np.array([_expected(subject, channel) for channel in concerned]).T
         for _ in range(ROUNDS):
             measured[:, concerned] = np.copysign(measured[:, concerned], explained)
             mended = subject.with_efforts(measured)
             explained = mended.explained(mended.nominal)[:, concerned]
-        return Judged.mended(mended, mended.spread)  # restored signs make numbers vary more, not less probable
+        return CandidateFit.of_corrected(
+            mended, mended.spread
+        )  # restored signs make numbers vary more, not less probable
 
     yield Candidate(undo=undo, cause=cause, concerned=concerned)
 
@@ -118,7 +120,7 @@ def _expected(subject: Subject, channel: int) -> FloatArray:
     large, and mostly a weight, as of a vertical axis, hardly changes with either."""
     effort, speed = np.abs(subject.measured[:, channel]), subject.samples.velocity[:, subject.joints[channel]]
     predicted = subject.predicted[:, channel]
-    if min(np.abs(np.mean(predicted)), np.quantile(effort, _NEARLY)) > HALF * np.mean(effort):
+    if min(np.abs(np.mean(predicted)), np.quantile(effort, _NEARLY)) > MOST * np.mean(effort):
         return predicted
     return max((predicted, speed), key=lambda one: float(np.nan_to_num(np.corrcoef(effort, np.abs(one))[0, 1])))
 
@@ -128,15 +130,19 @@ def _gains(subject: Subject) -> Iterator[Candidate]:
     every = range(len(subject.joints))
     slopes, r_squared = subject.slopes()
     common, settled = _common_factor(subject, slopes, r_squared)
-    if not 1.0 / REASON <= common <= REASON:
+    if not 1.0 / LARGEST_MASS_FACTOR <= common <= LARGEST_MASS_FACTOR:
         yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), every, settled)
     by_size = np.std(subject.predicted, axis=0) / subject.spread
-    factors = np.where((r_squared > 1.0 - FOLLOWS**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size)
-    unlike_common = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(REASON)
-    unlike_nominal = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(REASON)
+    factors = np.where(
+        (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size
+    )
+    unlike_common = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(
+        LARGEST_MASS_FACTOR
+    )
+    unlike_nominal = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(LARGEST_MASS_FACTOR)
     loads = np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints]
     for joint in np.flatnonzero(unlike_common & unlike_nominal & (factors > 0.0)).tolist() if len(every) > 1 else ():
-        factor, beyond_rating = float(factors[joint]), bool(loads[joint] > REASON**2)
+        factor, beyond_rating = float(factors[joint]), bool(loads[joint] > LARGEST_MASS_FACTOR**2)
         matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
         yield _gain(matrix, _other_unit(subject, [joint], factor), [joint], beyond_rating)
 
@@ -151,10 +157,10 @@ def _common_factor(subject: Subject, slopes: FloatArray, r_squared: FloatArray) 
     """Factor that makes all efforts those of the URDF, and True if it is certain without any evidence: if the fitted
     links are all too light or too heavy by the same factor."""
     fitted, follows = subject.fitted_slopes(subject.nominal)
-    for ratios, sure in ((slopes, (r_squared > 1.0 - FOLLOWS**2) & (slopes > 0.0)), (fitted, follows)):
+    for ratios, sure in ((slopes, (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0)), (fitted, follows)):
         if np.count_nonzero(sure) >= 2:
             factor = 1.0 / float(np.median(ratios[sure]))
-            return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(REASON))
+            return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(LARGEST_MASS_FACTOR))
     predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
     return float(np.median(predicted / subject.spread)), False
 

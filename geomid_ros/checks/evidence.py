@@ -17,7 +17,7 @@ from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.tolerances import ROUNDS
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold
-from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
+from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
@@ -25,9 +25,9 @@ LEAST_SIGMA = 0.1
 """Smallest credible residual, relative to a channel's standard deviation."""
 FRICTION = 5
 """Columns of a channel: a constant, viscous friction, dry friction that sets in at once or gradually, rotor inertia."""
-FOLLOWS = 0.6
+LARGEST_RESIDUAL = 0.6
 """Largest residual of a channel that follows the model, as a fraction of its standard deviation."""
-HALF = 0.5
+MOST = 0.5
 """Fraction of a whole: more is most of it."""
 _SETTLED = 1e-3
 SPREAD = 0.7
@@ -65,12 +65,12 @@ class Unknowns:
 
     Attributes:
         links: number r of the links' errors.
-        felt: by channel, the errors on which it depends ``(m,)``.
+        affected_by: by channel, the errors on which it depends ``(m,)``.
         columns: by channel ``(N, m + k)``: those of these errors, and of its k separate unknowns.
     """
 
     links: int
-    felt: tuple[IntArray, ...]
+    affected_by: tuple[IntArray, ...]
     columns: tuple[FloatArray, ...]
 
     @staticmethod
@@ -85,20 +85,22 @@ class Unknowns:
         """Return the columns at some of the samples, chosen by a mask, an index array or a slice."""
         return replace(self, columns=tuple(columns[chosen] for columns in self.columns))
 
-    def with_own(self, own: FloatArray) -> Unknowns:
+    def with_separate(self, own: FloatArray) -> Unknowns:
         """Replace the separate columns of each channel by others ``(N, C, k)``."""
-        pairs = enumerate(zip(self.felt, self.columns, strict=True))
+        pairs = enumerate(zip(self.affected_by, self.columns, strict=True))
         columns = [np.column_stack([columns[:, : len(felt)], own[:, c]]) for c, (felt, columns) in pairs]
         return replace(self, columns=tuple(columns))
 
-    def with_more(self, links: FloatArray) -> Unknowns:
+    def with_errors(self, links: FloatArray) -> Unknowns:
         """Append columns ``(N, C, j)`` of further errors."""
         added = [np.flatnonzero(affected) for affected in np.any(links, axis=0)]
         columns = [
             np.column_stack([columns[:, : len(felt)], links[:, c, further], columns[:, len(felt) :]])
-            for c, (felt, further, columns) in enumerate(zip(self.felt, added, self.columns, strict=True))
+            for c, (felt, further, columns) in enumerate(zip(self.affected_by, added, self.columns, strict=True))
         ]
-        felt = [np.append(errors, self.links + further) for errors, further in zip(self.felt, added, strict=True)]
+        felt = [
+            np.append(errors, self.links + further) for errors, further in zip(self.affected_by, added, strict=True)
+        ]
         return Unknowns(self.links + links.shape[2], tuple(felt), tuple(columns))
 
     def times(self, weights: FloatArray) -> Unknowns:
@@ -108,23 +110,25 @@ class Unknowns:
     @cached_property
     def places(self) -> list[IntArray]:
         """Index of each channel's columns among r + C k unknowns."""
-        count = self.columns[0].shape[1] - len(self.felt[0])
-        return [np.append(felt, self.links + count * c + np.arange(count)) for c, felt in enumerate(self.felt)]
+        count = self.columns[0].shape[1] - len(self.affected_by[0])
+        return [np.append(felt, self.links + count * c + np.arange(count)) for c, felt in enumerate(self.affected_by)]
 
     @cached_property
     def products(self) -> list[FloatArray]:
         """Products of each channel's columns."""
         return [columns.T @ columns for columns in self.columns]
 
-    def taken(self, errors: FloatArray) -> FloatArray:
+    def link_efforts(self, errors: FloatArray) -> FloatArray:
         """Efforts of the links ``(N, C)`` at errors ``(r,)``."""
-        pairs = zip(self.felt, self.columns, strict=True)
+        pairs = zip(self.affected_by, self.columns, strict=True)
         return np.stack([columns[:, : len(felt)] @ errors[felt] for felt, columns in pairs], axis=1)
 
     def with_target(self, target: FloatArray, units: FloatArray) -> ChannelProducts:
         """Products of the columns and of a ``target (N, C)``, those of links in ``units (C,)`` of the channels."""
         size, blocks = int(self.places[-1][-1]) + 1, []
-        for channel, (felt, columns, products) in enumerate(zip(self.felt, self.columns, self.products, strict=True)):
+        for channel, (felt, columns, products) in enumerate(
+            zip(self.affected_by, self.columns, self.products, strict=True)
+        ):
             scales = np.ones(len(products) + 1)
             scales[: len(felt)] /= units[channel]
             block, measured = np.empty((len(scales), len(scales))), target[:, channel]
@@ -195,7 +199,7 @@ def _solve_bounded(
         previous, free = fixed, matrix.copy()
         free[fixed] = free[:, fixed] = 0.0
         free[fixed, fixed] = 1.0
-        mean = definite.solved_anyway(free, np.where(fixed, 0.0, right))
+        mean = definite.solve_or_least_squares(free, np.where(fixed, 0.0, right))
         gradient = right - matrix @ mean  # of a fixed one: positive if it would become positive
         changed = np.where(fixed, gradient <= 0.0, mean < 0.0) & bounded
         if np.array_equal(changed, fixed):
@@ -221,5 +225,5 @@ def prior_factor(robot: Robot) -> FloatArray:
 
 def payload_factor(bodies: FloatArray, carrier: int) -> FloatArray:
     """Factor ``(10, 10)`` of the covariance of a payload on the link ``carrier``, which the URDF does not contain."""
-    blocks, _ = ONE_BODY.jacobian(ONE_BODY.point(usual_payload(bodies, carrier)))
-    return np.asarray(SPREAD_OF_PAYLOADS * blocks[0])
+    blocks, _ = ONE_BODY.jacobian(ONE_BODY.point(default_payload(bodies, carrier)))
+    return np.asarray(PAYLOAD_PRIOR_STD * blocks[0])

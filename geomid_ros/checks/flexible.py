@@ -13,7 +13,7 @@ import numpy as np
 from geomid_ros.checks.evidence import SPREAD, Evidence, Unknowns, evidence
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
-from geomid_ros.model.samples import STILL
+from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _SLOW = 0.05  # fraction of a joint's largest speed, below which stiction is arbitrary
@@ -71,7 +71,7 @@ class FlexibleFit:
         self._own = np.concatenate([_curves(position, friction, predicted), friction], axis=2)
         self._tolerated = np.ones(self._own.shape[1:])
         self._tolerated[:, -tolerated.shape[1] :] = tolerated
-        self._unknowns = links.with_own(self._own)
+        self._unknowns = links.with_separate(self._own)
         self.nominal = self._evidence(self._unknowns)
         """The evidence of nothing else."""
         self.links = self.nominal.links
@@ -120,7 +120,7 @@ class FlexibleFit:
 
     def gain(self, columns: FloatArray) -> Gain:
         """Fit additional columns, in the form of :meth:`promises`."""
-        fitted, rank = self._evidence(self._unknowns.with_more(columns)), self._unknowns.links
+        fitted, rank = self._evidence(self._unknowns.with_errors(columns)), self._unknowns.links
         return Gain(
             per_instant=(fitted.log - self.nominal.log) / self.instants,
             ratios=fitted.sigmas / self.nominal.sigmas,
@@ -130,7 +130,7 @@ class FlexibleFit:
         )
 
     def _rigid(self, links: FloatArray) -> FloatArray:
-        return np.asarray(self._predicted + self._unknowns.taken(links))
+        return np.asarray(self._predicted + self._unknowns.link_efforts(links))
 
     def _evidence(self, unknowns: Unknowns) -> Evidence:
         """Evidence of unknowns of unit variance, curves and friction."""
@@ -141,7 +141,7 @@ class FlexibleFit:
         """Linearise at the fit, with friction of either sign."""
         self._weights = self._moving / (self.spread * self.nominal.sigmas)
         scaled = self._own * self._tolerated * self.spread[:, None]
-        self._known = self._unknowns.with_own(scaled).times(self._weights)
+        self._known = self._unknowns.with_separate(scaled).times(self._weights)
         self._target = self._weights * (self.measured - self._predicted)
         sums = self._known.with_target(self._target, np.ones(self._target.shape[1]))
         products = sums.weighed(np.ones(len(sums)))
@@ -152,7 +152,7 @@ class FlexibleFit:
 def moving(velocity: FloatArray) -> BoolArray:
     """True where joints move, so that stiction is not arbitrary ``(N, C)``."""
     speed = np.abs(velocity)
-    return np.asarray(speed > np.maximum(STILL, _SLOW * np.max(speed, axis=0)))
+    return np.asarray(speed > np.maximum(REST_SPEED, _SLOW * np.max(speed, axis=0)))
 
 
 def by_channel(columns: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.samples import STILL, Samples
+from geomid_ros.model.samples import REST_SPEED, Samples
 from geomid_ros.types import IntArray
 
 FEWEST = 30
@@ -25,7 +25,7 @@ def elapsed(stamps: IntArray, place: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class KeptSamples:
     """Kept ``samples``; the next sample after each, ``later``, or itself if none followed soon; and the index of each
     one's recording, ``recordings (N,)``."""
 
@@ -34,7 +34,7 @@ class Kept:
     recordings: IntArray
 
 
-class Instants:
+class SampleReservoir:
     """Keep at most 250 samples, at least 0.1 s apart and evenly over the whole time.
 
     When there are too many, every other one is dropped, and later ones are taken half as often. The choice depends on
@@ -92,16 +92,16 @@ class Instants:
         self._recording += 1
 
     @property
-    def kept(self) -> Kept | None:
+    def kept(self) -> KeptSamples | None:
         """All kept samples; None if there are none."""
         kept = list(self._kept)  # a copy: another thread replaces it or appends to it
         if not kept:
             return None
         samples, later, recordings = ([*parts] for parts in zip(*kept, strict=True))
-        return Kept(Samples.concatenate(samples), Samples.concatenate(later), np.array(recordings))
+        return KeptSamples(Samples.concatenate(samples), Samples.concatenate(later), np.array(recordings))
 
 
-class Stretch:
+class RecentMotion:
     """Keep the last samples in motion, one per 20 ms: enough to identify a delay."""
 
     def __init__(self) -> None:
@@ -119,7 +119,7 @@ class Stretch:
         steps = samples.stamps // STEP
         is_first = np.diff(steps, prepend=self._last) != 0
         self._last = int(steps[-1])
-        moving = samples.select(is_first & np.any(np.abs(samples.velocity) > STILL, axis=1))
+        moving = samples.select(is_first & np.any(np.abs(samples.velocity) > REST_SPEED, axis=1))
         if len(moving):
             self._kept.append(moving)
             self._count += len(moving)

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.evidence import HALF
+from geomid_ros.checks.evidence import MOST
 from geomid_ros.checks.instants import FEWEST, STEP
-from geomid_ros.estimation.estimate import TOLD, Estimate
+from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, Estimate
 from geomid_ros.model.contacts import DIRECTIONS, Contact, Legs
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.measurement import MeasurementModel
@@ -33,7 +33,7 @@ def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[Finding, .
     """Report limbs without a named contact that seem to support the robot, too; ``samples`` are any of a recording."""
     bearing = {}
     for tip in _unnamed_tips(robot, legs):
-        shares = Legs(robot, [Contact(tip)]).carried(samples)
+        shares = Legs(robot, [Contact(tip)]).weight_fraction(samples)
         if np.any(finite := np.isfinite(shares)):
             bearing[tip] = float(np.mean(shares[finite]))
     named = [f"{100.0 * share:.0f} % at '{tip}'" for tip, share in bearing.items() if share > LIFTED]
@@ -86,7 +86,7 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
 
 def carried_weight(legs: Legs, samples: Samples) -> tuple[Finding, ...]:
     """Report if by the efforts of the legs the feet do not support the robot; ``samples`` are any of a recording."""
-    shares = legs.carried(samples)
+    shares = legs.weight_fraction(samples)
     shares = shares[np.isfinite(shares)]
     share = float(np.mean(shares)) if len(shares) else 1.0
     if _USUAL[0] <= share <= _USUAL[1]:
@@ -106,7 +106,7 @@ def turned_imu(model: MeasurementModel, estimate: Estimate) -> list[str]:
     std = math.hypot(*(offset.std for offset in offsets))
     acceleration = force / _mass(model, estimate.parameters)
     angle = math.degrees(math.atan(acceleration / np.linalg.norm(model.robot.gravity)))
-    if angle < _TURNED or force < TOLD * std:
+    if angle < _TURNED or force < SIGNIFICANT_STDS * std:
         return []
     sentence = (
         f"the IMU seems to be turned by {angle:.1f} degrees against its frame in the URDF, or its acceleration across "
@@ -141,7 +141,7 @@ def displaced_imu(model: MeasurementModel, batches: Sequence[Samples], parameter
     ]
     place = 0.5 * (places[0] + places[1])
     distance = float(np.linalg.norm(place))
-    if distance < _DISPLACED or np.linalg.norm(places[0] - places[1]) > HALF * distance:
+    if distance < _DISPLACED or np.linalg.norm(places[0] - places[1]) > MOST * distance:
         return ()
     x, y, z = (1e3 * place).round().astype(int)
     sentence = (
@@ -187,7 +187,7 @@ class _Turning:
 def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
     """Report a fault of the base's gyroscope, if both halves of a ``stretch`` on all feet show it."""
     measured, seconds = stretch.base_velocity[:, 3:], stretch.seconds
-    turning = legs.turning(stretch)
+    turning = legs.base_rate(stretch)
     usable = np.flatnonzero(_interior(stretch) & np.isfinite(turning).all(axis=1))
     if len(usable) < 2 * FEWEST:
         return ()
@@ -198,14 +198,14 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
     if not all(np.any(by_legs) and np.all(np.any(shifted, axis=(1, 2))) for by_legs, shifted in parts):
         return ()  # they can be compared only where both measure a rotation
     halves = [_compared(*part) for part in parts]
-    if any(half_turning.after > HALF * min(half_turning.before, HALF) for half_turning in halves):
+    if any(half_turning.after > MOST * min(half_turning.before, MOST) for half_turning in halves):
         return ()
     late, angle = (np.array([getattr(half_turning, name) for half_turning in halves]) for name in ("late", "angle"))
     off = 1e9 * abs(float(np.mean(late)))
-    if off > STEP and np.ptp(late) < HALF * abs(np.mean(late)):
+    if off > STEP and np.ptp(late) < MOST * abs(np.mean(late)):
         word = ("late" if np.mean(late) > 0.0 else "early") + (" or more" if off > _SHIFTS[-2] else "")
         return (_finding(f"its stamps are {1e-6 * off:.0f} ms {word}: synchronise its clock with that of the joints"),)
-    if np.mean(angle) > _TURNED_BY_LEGS and np.ptp(angle) < HALF * np.mean(angle):
+    if np.mean(angle) > _TURNED_BY_LEGS and np.ptp(angle) < MOST * np.mean(angle):
         degrees = np.degrees(np.mean(angle))
         return (
             _finding(f"it is turned by about {degrees:.0f} degrees against its frame in the URDF: correct the frame"),
@@ -221,7 +221,7 @@ def _finding(fault: str) -> Finding:
 def on_all_feet(legs: Legs, samples: Samples) -> Samples:
     """Select the samples around which all feet support half of an equal share or more, as far as is known."""
     bearing = np.all(samples.standing, axis=1)
-    bearing[bearing] = np.all(legs.loads(samples.select(bearing)) > HALF, axis=1)
+    bearing[bearing] = np.all(legs.loads(samples.select(bearing)) > MOST, axis=1)
     return samples.select(_around(samples, bearing))
 
 

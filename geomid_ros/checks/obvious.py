@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.checks.candidates import REASON
+from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
-from geomid_ros.estimation.estimate import EffectEstimate, is_told
+from geomid_ros.estimation.estimate import EffectEstimate, is_significant
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.controller import Controller
@@ -44,16 +44,16 @@ def impossible_description(subject: Subject) -> Cause | None:
          "moments of inertia", "g mm^2 or kg mm^2", "kg m^2"),
     ):  # fmt: skip
         most = int(np.argmax(sizes))
-        if 0.0 < REASON**2 * length < sizes[most]:
+        if 0.0 < LARGEST_MASS_FACTOR**2 * length < sizes[most]:
             text = f"{what.format(robot.body_names[most], sizes[most])}, {extent_text}"
             return _lengths([robot.body_names[most]], text, quantity, unit, right)
-    if length > REASON**2 * float(np.sum(radii)) > 0.0:
+    if length > LARGEST_MASS_FACTOR**2 * float(np.sum(radii)) > 0.0:
         text = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
         return _lengths([], text, "the origins of joints", "mm", "m")
     with np.errstate(divide="ignore"):
         excess = _weights(subject) / robot.effort_limits
     joint = int(np.argmax(excess))
-    if excess[joint] > REASON**2:
+    if excess[joint] > LARGEST_MASS_FACTOR**2:
         text = f"{total_mass}joint '{robot.joint_names[joint]}' would carry {excess[joint]:.0f} times its limit"
         return _lengths([], text, "the masses", "grams", "kg")
     return None
@@ -146,7 +146,7 @@ def _residual_rms(
     """RMS of the efforts' residuals ``(C,)``: of a fit to all samples where a joint is ``still``, or ``around`` that,
     beyond the largest friction for its effort (``is_joint (C,)``) while still; and of a fit to the others, at these."""
     others = subject.part(~around)
-    rubbing = np.max(np.abs(others.rubbed(subject.nominal)), axis=0)
+    rubbing = np.max(np.abs(others.friction_efforts(subject.nominal)), axis=0)
     allowed = still[:, None] * np.where(is_joint, rubbing, 0.0)
     residual = np.abs(subject.measured - subject.explained(subject.nominal)) / subject.spread
     beyond = np.maximum(residual - allowed, 0.0)
@@ -193,7 +193,7 @@ def encoder_zeros(controller: Controller, effects: Sequence[EffectEstimate], joi
         f"{1e3 * offset / stiffness[effect.joint]:+.1f} mrad (mm) at '{effect.joint}'"
         for effect in effects
         if (offset := effect_class(effect.name).effort_shift({effect.parameter: effect.value}))
-        and is_told(offset, effect.std)
+        and is_significant(offset, effect.std)
     ]
     if not significant:
         return []

@@ -9,19 +9,19 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.checks.evidence import (
-    FOLLOWS,
     FRICTION,
-    HALF,
+    LARGEST_RESIDUAL,
     LEAST_SIGMA,
+    MOST,
     Evidence,
     Unknowns,
     evidence,
     prior_factor,
 )
 from geomid_ros.checks.flexible import FlexibleFit
-from geomid_ros.checks.instants import FEWEST, Kept
+from geomid_ros.checks.instants import FEWEST, KeptSamples
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, STILL, Samples
+from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 STRETCHES = 20
@@ -58,7 +58,7 @@ class Subject:
     later: Samples
 
     @staticmethod
-    def of(robot: Robot, kept: Kept, gains: FloatArray) -> Subject:
+    def of(robot: Robot, kept: KeptSamples, gains: FloatArray) -> Subject:
         """Select the joints whose efforts are measured and change, with the robot's URDF as prior.
 
         Args:
@@ -68,7 +68,7 @@ class Subject:
         """
         effort = kept.samples.effort
         changing = [_changes(values) for values in effort.T]
-        joints = np.flatnonzero((np.mean(np.isfinite(effort), axis=0) >= HALF) & changing)
+        joints = np.flatnonzero((np.mean(np.isfinite(effort), axis=0) >= MOST) & changing)
         usable = np.all(np.isfinite(effort[:, joints]), axis=1)
         samples = kept.samples.select(usable)
         return Subject(
@@ -86,7 +86,7 @@ class Subject:
     @staticmethod
     def of_all(robot: Robot, samples: Samples) -> Subject:
         """Select the joints from samples of one recording, as they are."""
-        kept = Kept(samples, samples, np.zeros(len(samples), dtype=np.int64))
+        kept = KeptSamples(samples, samples, np.zeros(len(samples), dtype=np.int64))
         return Subject.of(robot, kept, np.ones(samples.effort.shape[1]))
 
     def part(self, chosen: AnyArray | slice) -> Subject:
@@ -206,7 +206,7 @@ class Subject:
         columns = [np.ones(samples.velocity.shape), samples.velocity, *dry, samples.acceleration]
         return np.stack(columns, axis=2)[:, self.joints]
 
-    def rubbed(self, found: Evidence) -> FloatArray:
+    def friction_efforts(self, found: Evidence) -> FloatArray:
         """Friction ``(N, C)`` at an evidence, in standard deviations of the efforts."""
         return np.asarray(np.einsum("nck,ck->nc", self.friction[:, :, 1:-1], found.friction[:, 1:-1]))
 
@@ -214,7 +214,7 @@ class Subject:
     def unknowns(self) -> Unknowns:
         """Effort columns of the links' errors, of unit variance, and of friction."""
         errors, columns = list[IntArray](), list[FloatArray]()
-        for channel, is_distal in enumerate(self.robot.carries[self.joints]):
+        for channel, is_distal in enumerate(self.robot.supports[self.joints]):
             (bodies,) = np.nonzero(is_distal)
             rows = self.regressor[:, channel].reshape(-1, len(is_distal), 10)[:, bodies].transpose(1, 0, 2)
             by_errors = (rows @ self.factor[bodies]).transpose(1, 0, 2).reshape(len(self.regressor), -1)
@@ -228,7 +228,7 @@ class Subject:
         return np.asarray(2.0 / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6))
 
     @cached_property
-    def few(self) -> Subject:
+    def thinned(self) -> Subject:
         """The subject at a few samples, enough to rank candidates by their resemblance to the prediction."""
         return self.part(slice(None, None, -(-len(self.samples) // (2 * FEWEST))))
 
@@ -240,7 +240,7 @@ class Subject:
     @property
     def is_moving(self) -> BoolArray:
         """True for the samples ``(N,)`` at which a joint moves."""
-        return np.asarray(np.any(np.abs(self.samples.velocity[:, self.joints]) > STILL, axis=1))
+        return np.asarray(np.any(np.abs(self.samples.velocity[:, self.joints]) > REST_SPEED, axis=1))
 
     @cached_property
     def flexible(self) -> FlexibleFit:
@@ -271,17 +271,17 @@ class Subject:
             unknown: ``(N, C, j)`` effort columns of other unknowns of unit variance, which become the last of the
                 links' errors.
         """
-        unknowns = self.unknowns if unknown is None else self.unknowns.with_more(unknown)
+        unknowns = self.unknowns if unknown is None else self.unknowns.with_errors(unknown)
         if not friction:
-            unknowns = unknowns.with_own(self.friction * (np.arange(FRICTION) == 0))
+            unknowns = unknowns.with_separate(self.friction * (np.arange(FRICTION) == 0))
         target = (self.measured - self.predicted) / self.spread
         return evidence(target, unknowns, self.tolerated, units=self.spread, either_sign=either_sign)
 
     def links(self, found: Evidence) -> FloatArray:
         """Links' parameters ``(D,)`` at an evidence."""
-        return self.linked(found.links[: len(self.prior)])
+        return self.parameters_at(found.links[: len(self.prior)])
 
-    def linked(self, errors: FloatArray) -> FloatArray:
+    def parameters_at(self, errors: FloatArray) -> FloatArray:
         """Links' parameters ``(D,)`` at errors ``(D,)`` of unit variance."""
         return self.prior + (self.factor @ errors.reshape(-1, 10, 1)).ravel()
 
@@ -327,12 +327,12 @@ class Subject:
     def fitted_slopes(self, found: Evidence) -> tuple[FloatArray, BoolArray]:
         """Efforts of the fitted links as a multiple of the URDF's, and True where this factor is certain ``(C,)``."""
         slopes, correlations = self._compared(found)
-        return slopes, np.asarray(correlations > np.sqrt(1.0 - FOLLOWS**2))
+        return slopes, np.asarray(correlations > np.sqrt(1.0 - LARGEST_RESIDUAL**2))
 
     def opposite(self, found: Evidence) -> BoolArray:
         """True if the efforts of the fitted links oppose those of the URDF's ``(C,)``, as if mass were negative. This
         indicates efforts with the wrong sign where links explain a good part of them."""
-        return np.asarray(self._compared(found)[1] < -np.sqrt(1.0 - FOLLOWS**2))
+        return np.asarray(self._compared(found)[1] < -np.sqrt(1.0 - LARGEST_RESIDUAL**2))
 
     def _compared(self, fit: Evidence) -> tuple[FloatArray, FloatArray]:
         """Slope of the fitted links' efforts over the URDF's, and their correlation, which is zero where these links
@@ -341,7 +341,7 @@ class Subject:
         fitted, nominal = fitted - np.mean(fitted, axis=0), nominal - np.mean(nominal, axis=0)
         crossed, size = np.sum(fitted * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
         correlations = crossed / np.maximum(np.sqrt(size * np.sum(fitted**2, axis=0)), 1e-30)
-        return crossed / size, np.where(np.std(fitted, axis=0) > FOLLOWS * self.spread, correlations, 0.0)
+        return crossed / size, np.where(np.std(fitted, axis=0) > LARGEST_RESIDUAL * self.spread, correlations, 0.0)
 
 
 def largest_of_unit(sizes: FloatArray, units: Sequence[str]) -> FloatArray:

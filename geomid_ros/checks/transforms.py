@@ -13,7 +13,16 @@ from types import EllipsisType
 
 import numpy as np
 
-from geomid_ros.checks.candidates import PROBABLE, REASON, ROUNDS, STEP, TILT, Candidate, Judged, probabilities
+from geomid_ros.checks.candidates import (
+    LARGEST_MASS_FACTOR,
+    PROBABLE,
+    ROUNDS,
+    STEP,
+    TILT,
+    Candidate,
+    CandidateFit,
+    probabilities,
+)
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.efforts import OF_EFFORTS, compensated, exchanges, weightless
 from geomid_ros.checks.evidence import LEAST_SIGMA
@@ -71,7 +80,10 @@ def positions(subject: Subject) -> Iterator[Candidate]:
                 scales = np.ones(len(turning))
                 scales[joint] = size
                 text = f"the positions of joint '{robot.joint_names[joint]}' are"
-                beyond = largest[joint] > REASON * allowed[joint] and np.sum(largest > REASON * allowed) == 1
+                beyond = (
+                    largest[joint] > LARGEST_MASS_FACTOR * allowed[joint]
+                    and np.sum(largest > LARGEST_MASS_FACTOR * allowed) == 1
+                )
                 yield _in_unit(subject, scales, unit, text, joint, settled=bool(beyond))
 
 
@@ -138,9 +150,13 @@ def _times(subject: Subject) -> Iterator[Candidate]:
 def _at_rate(subject: Subject, rate: float, cause: Cause) -> Candidate:
     same = np.eye(len(subject.robot.joints))
 
-    def undo(subject: Subject) -> Judged:
-        judged = Judged.mended(subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.spread)
-        without = max(Judged.mended(read(subject), subject.spread).log for read in (weightless, compensated))
+    def undo(subject: Subject) -> CandidateFit:
+        judged = CandidateFit.of_corrected(
+            subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.spread
+        )
+        without = max(
+            CandidateFit.of_corrected(read(subject), subject.spread).log for read in (weightless, compensated)
+        )
         return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
 
     return Candidate(undo=undo, cause=cause)
@@ -149,7 +165,7 @@ def _at_rate(subject: Subject, rate: float, cause: Cause) -> Candidate:
 def _zeros(subject: Subject) -> Iterator[Candidate]:
     """Yield candidates for another zero of a rotary joint, fitted from where efforts resemble the prediction most."""
     for joint in _turning(subject):
-        yield _zero(subject, joint, 1.0, _best_start(subject.few, joint, 1.0))
+        yield _zero(subject, joint, 1.0, _best_start(subject.thinned, joint, 1.0))
 
 
 def _axes(subject: Subject) -> Iterator[Candidate]:
@@ -157,7 +173,7 @@ def _axes(subject: Subject) -> Iterator[Candidate]:
     robot = subject.robot
     turning = _turning(subject)
     for joint in range(len(robot.joints)):
-        yield _zero(subject, joint, -1.0, _best_start(subject.few, joint, -1.0) if joint in turning else 0.0)
+        yield _zero(subject, joint, -1.0, _best_start(subject.thinned, joint, -1.0) if joint in turning else 0.0)
         yield _reversed_motion(subject, joint)
         for other in robot.parallel_joints(joint) if joint in turning else ():
             yield from (_absolute(subject, joint, other, share) for share in (1.0, -1.0) if other in turning)
@@ -204,7 +220,7 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
     def read(subject: Subject, zero: float = start) -> Subject:
         return subject.with_samples(_with_zero(subject.samples, joint, sign, zero))
 
-    def undo(subject: Subject) -> Judged:
+    def undo(subject: Subject) -> CandidateFit:
         zero, mended = start, read(subject)
         fitted = mended.nominal
         for _ in range(ROUNDS):
@@ -216,9 +232,11 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
             fitted = mended.evidence(unknown=rate[:, :, None])
             zero = start + TILT * float(fitted.links[-1])
         deviations = TILT * fitted.deviations()[-1:]
-        return Judged.mended(mended, subject.spread, fitted, estimates=np.array([zero]), deviations=deviations)
+        return CandidateFit.of_corrected(
+            mended, subject.spread, fitted, estimates=np.array([zero]), deviations=deviations
+        )
 
-    def cause(judged: Judged) -> Cause:
+    def cause(judged: CandidateFit) -> Cause:
         zero, deviation = np.degrees([judged.estimates[0], judged.deviations[0]])
         turn = (zero + 180.0) % 360.0 - 180.0
         text = f"about {turn:.0f} (+-{max(2.0 * deviation, 1.0):.0f}) degrees have"
@@ -251,7 +269,7 @@ def transforms(subject: Subject) -> tuple[list[Candidate], int]:
     rows = (*_AS_IT_MOVES, *OF_MOTION) if probabilities([possible_gain], 1)[0] > PROBABLE else _AS_IT_MOVES
     chosen, count = list[Candidate](), 0
     for row in rows:
-        ranked = sorted(row(subject), key=lambda candidate: -candidate.resemblance(subject.few))
+        ranked = sorted(row(subject), key=lambda candidate: -candidate.resemblance(subject.thinned))
         chosen += [c for place, c in enumerate(ranked) if place < _BEST or c.settled or c.read is None]
         count += len(ranked)
     return chosen, count

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.evidence import HALF, LEAST_SIGMA
+from geomid_ros.checks.evidence import LEAST_SIGMA, MOST
 from geomid_ros.checks.flexible import moving
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject, largest_of_unit
@@ -35,39 +35,39 @@ _OF_BASE = (
 
 def badly_explained(
     channels: Sequence[tuple[str, str]],
-    left: FloatArray,
+    residual_rms: FloatArray,
     variation: FloatArray,
     hint: Callable[[str, float], str],
     *,
     before: FloatArray | float = np.inf,
-    allowed: float = HALF,
-    what: str = "joint",
+    allowed: float = MOST,
+    kind: str = "joint",
 ) -> tuple[Finding, ...]:
     """Report the channels whose efforts are not explained, the worst first, and what to look at; nothing if all are.
 
     Args:
         channels: name and unit of each of C joints' efforts, or of the wrench on a base.
-        left: ``(C,)`` RMS of the residuals of the efforts.
+        residual_rms: ``(C,)`` RMS of the residuals of the efforts.
         variation: ``(C,)`` standard deviations of the efforts, or their RMS.
         hint: describes what to look at, from a channel's name and the fraction of its variation that is left.
         before: ``(C,)`` residual RMS of the input's file, infinite where that is not known.
         allowed: fraction of the variation that may be left.
-        what: kind of the channels.
+        kind: kind of the channels.
     """
     units = [unit for _, unit in channels]
-    share = left / np.maximum(variation, np.finfo(float).tiny)
-    large = left > LEAST_SIGMA * largest_of_unit(variation, units)
-    bad = large & ((share > allowed) | (left > WORSE * before))
+    share = residual_rms / np.maximum(variation, np.finfo(float).tiny)
+    large = residual_rms > LEAST_SIGMA * largest_of_unit(variation, units)
+    bad = large & ((share > allowed) | (residual_rms > WORSE * before))
     worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
     if not worst:
         return ()
     names = tuple(channels[joint][0] for joint in worst)
     described = ", ".join(
-        f"'{name}' is not explained: {100.0 * max(1.0 - share[j], 0.0):.0f} % ({left[j]:.3g} of {variation[j]:.3g} "
-        f"{units[j]} are left)"
+        f"'{name}' is not explained: {100.0 * max(1.0 - share[j], 0.0):.0f} % "
+        f"({residual_rms[j]:.3g} of {variation[j]:.3g} {units[j]} are left)"
         for name, j in zip(names, worst, strict=True)
     )
-    sentence = f"{what} {described}; {hint(names[0], float(share[worst[0]]))}"
+    sentence = f"{kind} {described}; {hint(names[0], float(share[worst[0]]))}"
     return (Finding(cause=Cause(kind="unexplained", sentence=sentence, places=names)),)
 
 
@@ -79,7 +79,7 @@ def hint(subject: Subject, joint: str, share: float) -> str:
     channel = subject.names.index(joint)
     before, remaining = subject.nominal.sigmas[channel], dict[str, float]()
     without = subject.evidence(friction=False).sigmas[channel]
-    if before**2 < HALF * min(share, without) ** 2:
+    if before**2 < MOST * min(share, without) ** 2:
         return _speed_hint(joint)
     for text, columns in _hints(subject, channel):
         unknown = np.zeros((*subject.measured.shape, columns.shape[1]))
@@ -87,7 +87,7 @@ def hint(subject: Subject, joint: str, share: float) -> str:
         unknown[:, channel] = subject.spread[channel] * columns / sizes
         remaining[text] = (subject.evidence(unknown=unknown).sigmas[channel] / before) ** 2
     best, *others = sorted(remaining, key=lambda text: remaining[text])
-    return best if remaining[best] < HALF * min([1.0, *(remaining[text] for text in others)]) else _ELSE
+    return best if remaining[best] < MOST * min([1.0, *(remaining[text] for text in others)]) else _ELSE
 
 
 def _hints(subject: Subject, channel: int) -> Iterator[tuple[str, FloatArray]]:
@@ -153,7 +153,7 @@ def unexplained_base(model: MeasurementModel, batches: Sequence[Samples], parame
     pairs = [model.predict(samples, parameters) for samples in batches]
     measured, predicted = (np.concatenate([values[:, base] for values in parts]) for parts in zip(*pairs, strict=True))
     channels = [(model.channels[channel].name, model.channels[channel].unit) for channel in base]
-    bad = badly_explained(channels, rms(measured - predicted), rms(measured), lambda *_: _OF_BASE, what="on the base")
+    bad = badly_explained(channels, rms(measured - predicted), rms(measured), lambda *_: _OF_BASE, kind="on the base")
     return [finding.sentence for finding in bad]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomid_ros.checks.candidates import REASON
+from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR
 from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.estimation.estimate import Estimate
@@ -121,9 +121,11 @@ def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
         held_out: its residual RMS on held-out data ``(channels,)``, NaN where nothing is measured.
     """
     ratios = held_out / np.maximum(estimate.rms, np.finfo(float).tiny)
-    if not np.any(ratios > REASON):
+    if not np.any(ratios > LARGEST_MASS_FACTOR):
         return []
-    named = ", ".join(f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > REASON))
+    named = ", ".join(
+        f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > LARGEST_MASS_FACTOR)
+    )
     sentence = (
         f"what was held out is predicted far worse than what was fitted: {named}; the robot moves otherwise there, or "
         "something has changed. If nothing has, fit all of it (--hold-out 0, or one more bag), and judge on another "

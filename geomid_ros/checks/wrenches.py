@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.checks.candidates import PROBABLE, REASON, TILT, probabilities
+from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, PROBABLE, TILT, probabilities
 from geomid_ros.checks.causes import Cause, Finding, written
-from geomid_ros.checks.evidence import FOLLOWS, FRICTION, Unknowns, evidence, prior_factor
+from geomid_ros.checks.evidence import FRICTION, LARGEST_RESIDUAL, Unknowns, evidence, prior_factor
 from geomid_ros.checks.instants import FEWEST, STEP
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -79,19 +79,19 @@ class WrenchSensorCheck:
         best, reference, cause = max(tried, key=lambda one: one[0].log - one[1].log)
         probability, _ = probabilities([best.log - reference.log], len(tried))
         remaining = nominal.sigmas * best.sigmas / reference.sigmas
-        if probability > PROBABLE and np.all(remaining < FOLLOWS):
+        if probability > PROBABLE and np.all(remaining < LARGEST_RESIDUAL):
             return (Finding(cause=cause),)
         return self._sign_or_unit(nominal)
 
     def _sign_or_unit(self, fit: _Fit) -> tuple[Finding, ...]:
-        if not fit.sigmas[0] < FOLLOWS:
+        if not fit.sigmas[0] < LARGEST_RESIDUAL:
             return ()
         if fit.slope < 0.0:
             settings = {f"wrench.{self._name}.sign": -self._sensor.sign}
             minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
             flaw = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
             return (Finding(cause=self._cause(flaw, settings)),)
-        if (unit := _is_other_unit(fit.slope)) or fit.slope < 1.0 / REASON:
+        if (unit := _is_other_unit(fit.slope)) or fit.slope < 1.0 / LARGEST_MASS_FACTOR:
             flaw = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
             return (Finding(cause=self._cause(flaw), sure=unit),)
         return ()
@@ -254,11 +254,11 @@ def _problem(products: FloatArray) -> str:
     measured, expected = np.trace(products[:3, :3]), np.trace(products[3:, 3:])
     if not measured > 0.0 or not expected > 0.0:
         return ""
-    scale, follows = float(np.sqrt(measured * expected)), np.sqrt(1.0 - FOLLOWS**2)
+    scale, follows = float(np.sqrt(measured * expected)), np.sqrt(1.0 - LARGEST_RESIDUAL**2)
     agreement = float(np.trace(products[:3, 3:])) / scale
     if agreement < -follows:
         return "the forces are opposite to those expected from the URDF: check the sign"
-    if agreement < FOLLOWS and _rotation(products[3:, :3])[1] > follows * scale:
+    if agreement < LARGEST_RESIDUAL and _rotation(products[3:, :3])[1] > follows * scale:
         return "the forces are rotated against those expected from the URDF: check the frame"
     ratio = float(np.sqrt(measured / expected))
     if agreement > follows and _is_other_unit(ratio):

@@ -24,7 +24,7 @@ from geomid_ros.commands.terminal import (
 )
 from geomid_ros.estimation.estimate import EffectEstimate, LinkEstimate, WeighedEstimate
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
-from geomid_ros.exports.handover import JudgedFile
+from geomid_ros.exports.handover import FileTest
 from geomid_ros.files.models.effects_file import is_coefficient
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.gap.result import GapResult
@@ -169,11 +169,11 @@ def show_gap(found: geomid_ros.Gap) -> None:
     result, review = found.result, found.session.review
     print_verdict(console, recording_verdict(review.findings), review.warnings(), found.session.notes)
     say(console, result.verdict.upper(), f"  {gap_words.verdict_sentence(result)}")
-    for sentence in gap_words.in_short(result):
+    for sentence in gap_words.summary(result):
         say(console, "", sentence)
     if result.findings:
         console.print(_findings_table(result))
-    for sentence in (*gap_words.of_every_joint(result), *_sentences(result)):
+    for sentence in (*gap_words.common_effects(result), *_sentences(result)):
         say(console, "", sentence)
     console.print(_gaps_table(result))
     _print_file(console, found.handover)
@@ -183,14 +183,14 @@ def show_gap(found: geomid_ros.Gap) -> None:
         say(console, "No resimulation", f"  {found.not_simulated}")
     if result.ranking and result.verdict != "no gap":
         console.print(_candidates_table(result))
-    record = gap_words.to_record(result)
+    record = gap_words.next_recordings(result)
     if record:
         say(console, "Next recording", "")
         for motion in record:
             say(console, "", f"- {motion}")
 
 
-def _print_file(console: Console, file: JudgedFile | None) -> None:
+def _print_file(console: Console, file: FileTest | None) -> None:
     """Print the prediction error of the written description, and the channels where the given one is better."""
     if file is None:
         return

@@ -25,7 +25,7 @@ from geomid_ros.estimation.tolerances import LARGEST_STEP
 from geomid_ros.geometry import definite, spd, symmetric
 from geomid_ros.geometry.manifold import ONE_BODY, Point
 from geomid_ros.geometry.pseudo_inertia import to_parameters
-from geomid_ros.model.samples import STILL
+from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.types import FloatArray
 
 MARGIN = 0.5
@@ -45,7 +45,7 @@ def needed(point: Point, rows: FloatArray, residuals: FloatArray) -> FloatArray:
     """Shortest tangent vector ``(10,)`` that explains ``residuals (joints,)`` by ``rows (joints, 10)``, both in units
     of the residuals' noise."""
     whitened = ONE_BODY.whiten(point, rows)
-    weights = definite.solved_anyway(whitened @ whitened.T + np.eye(len(rows)), residuals)
+    weights = definite.solve_or_least_squares(whitened @ whitened.T + np.eye(len(rows)), residuals)
     return np.asarray(weights @ whitened)
 
 
@@ -159,20 +159,20 @@ class Delay:
     """Delay of the loop [s]: age of the data plus the time between them, the longest of about a second."""
 
     def __init__(self) -> None:
-        self.usual = 0.0
+        self.reference = 0.0
         """Delay that the gain is set for."""
 
     def faults(self, delay: float) -> list[str]:
         """Return the fault of a delay in a sentence, if there is one."""
-        if not self.usual or delay <= LATER * self.usual:
+        if not self.reference or delay <= LATER * self.reference:
             return []
-        return [f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.usual:.0f} ms before"]
+        return [f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.reference:.0f} ms before"]
 
     def take(self, delay: float, step: float) -> list[str]:
         """Take a delay, ``step`` seconds after the previous one. Return its faults."""
         faults = self.faults(delay)
         if not faults:
-            self.usual = max(delay, self.usual * (1.0 - step / _MEMORY))
+            self.reference = max(delay, self.reference * (1.0 - step / _MEMORY))
         return faults
 
 
@@ -191,7 +191,7 @@ def faults_of(
     fraction = np.abs(reading.effort) / limits
     if np.max(fraction) >= _SATURATED:
         faults.append(f"the effort of joint '{joints[int(np.argmax(fraction))]}' saturates")
-    if reading.repeats(before) and np.max(np.abs(commanded)) > STILL:
+    if reading.repeats(before) and np.max(np.abs(commanded)) > REST_SPEED:
         faults.append("joint states repeat while the robot is to move")
     return faults
 
@@ -227,7 +227,7 @@ class Correction:
         self._received = self._sent = -np.inf
         self._last = np.zeros(len(joints))
 
-    def go_on_from(self, other: Correction) -> None:
+    def continue_from(self, other: Correction) -> None:
         """Continue from the last efforts of another correction, to change gradually."""
         self._last, self._sent = other._last, other._sent
 
@@ -251,7 +251,7 @@ class Correction:
         self.latch.take(now, faults)
         if not faults and not self.latch.reason:
             tangent = needed(self.adaptation.point, rows, residuals)
-            self.adaptation.step(share_of(step, self.delay.usual) * tangent)
+            self.adaptation.step(share_of(step, self.delay.reference) * tangent)
 
     def _missing(self, motion: FloatArray, effort: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows ``(joints, 10)`` of the body, and the residual ``effort (joints,)`` that neither it nor the model

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
-from geomid_ros.estimation.estimate import TOLD
+from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.model.coefficients import Mechanism
 from geomid_ros.model.effects import joints_of
@@ -33,31 +33,31 @@ _VISIBLE = 0.04
 @dataclass(frozen=True, eq=False)
 class Choice:
     """Chosen parameters by their ``columns``. If there was a choice, also the end of their fit: all ``parameters
-    (D,)``, zero for those left out, and the links' prior std ``spreads (links,)``."""
+    (D,)``, zero for those left out, and the links' prior std ``prior_stds (links,)``."""
 
     columns: IntArray
     parameters: FloatArray | None = None
-    spreads: FloatArray | None = None
+    prior_stds: FloatArray | None = None
 
 
 def choose(
-    problem: Problem, earlier: IntArray | None = None, beside: Callable[[Problem], Problem] = lambda alone: alone
+    problem: Problem, earlier: IntArray | None = None, add_prior: Callable[[Problem], Problem] = lambda alone: alone
 ) -> Choice:
     """Choose the parameters: all that are not optional, each in its best shape, and the significant optional ones.
 
     Args:
         problem: the problem with all coefficients.
         earlier: choice for fewer of the same rows, to start from.
-        beside: adds prior rows to the problem; called only if there is a choice.
+        add_prior: adds prior rows to the problem; called only if there is a choice.
     """
     rows = CoefficientRows(problem)
     if not (rows.has_choice and rows.enough):
-        return Choice(rows.standing)
-    problem = beside(problem)
+        return Choice(rows.required_columns)
+    problem = add_prior(problem)
     rows = CoefficientRows(problem)
-    moving = _grown(rows.fit(rows.standing if earlier is None else earlier))
-    chosen = _grown(CoefficientRows(problem, at_rest=True).fit(moving.every))
-    return Choice(chosen.every, chosen.parameters, chosen.fit.scales)
+    moving = _grown(rows.fit(rows.required_columns if earlier is None else earlier))
+    chosen = _grown(CoefficientRows(problem, at_rest=True).fit(moving.all_columns))
+    return Choice(chosen.all_columns, chosen.parameters, chosen.fit.scales)
 
 
 def _grown(fit: CoefficientFit) -> CoefficientFit:
@@ -65,7 +65,7 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
     rows = fit.rows
     fit = _without_unbelieved(_shaped(fit, range(len(rows.problem.model.robot.joints))))
     tried: set[Mechanism] = set()
-    while len(candidates := rows.candidates(fit.every, tried)):
+    while len(candidates := rows.candidates(fit.all_columns, tried)):
         column, larger = _best(fit, candidates)
         if larger is None:
             break
@@ -78,23 +78,23 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
     """Give every non-optional effect of ``joints`` its most likely shape, one effect after the other."""
     rows = fit.rows
-    for mechanism in rows.always:
+    for mechanism in rows.required_mechanisms:
         if not set(joints).intersection(joints_of(mechanism[1])):
             continue
         fit = _best_shape(fit, rows.shapes[mechanism])
-    return rows.fit(fit.every, fit)
+    return rows.fit(fit.all_columns, fit)
 
 
 def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
     """Give one effect its most likely shape among the columns ``shapes``, which are in the order of its constant.
     Searches from its present shape to either side, while each shape is more likely than the one before."""
-    present = next(place for place, shape in enumerate(shapes) if shape in fit.every)
+    present = next(place for place, shape in enumerate(shapes) if shape in fit.all_columns)
     best = fit
     for side in (range(present + 1, len(shapes)), range(present - 1, -1, -1)):
         before = fit
         for place in side:
-            columns = np.sort(np.append(np.setdiff1d(fit.every, shapes), shapes[place]))
-            shaped = fit.rows.fit(columns, before, spreads=fit.fit.scales)
+            columns = np.sort(np.append(np.setdiff1d(fit.all_columns, shapes), shapes[place]))
+            shaped = fit.rows.fit(columns, before, prior_stds=fit.fit.scales)
             if shaped.score >= before.score:
                 break
             before = shaped
@@ -105,19 +105,21 @@ def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
 def _without_unbelieved(fit: CoefficientFit) -> CoefficientFit:
     """Remove the optional effects that are not significant, the least significant first."""
     while len(fit.chosen):
-        squares = fit.possible * np.max([start.squares_of(fit.chosen) for start in (fit, fit.firm)], axis=0)
-        if np.min(squares) > TOLD**2:
+        squares = fit.possible * np.max(
+            [start.squares_of(fit.chosen) for start in (fit, fit.with_default_priors)], axis=0
+        )
+        if np.min(squares) > SIGNIFICANT_STDS**2:
             break
-        fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(squares)]), fit)
+        fit = fit.rows.fit(np.setdiff1d(fit.all_columns, fit.chosen[np.argmin(squares)]), fit)
     return fit
 
 
 def _best(present: CoefficientFit, candidates: IntArray) -> tuple[int, CoefficientFit | None]:
     """Return the candidate column that improves a fit most, and the fit with it; None if not visibly better."""
-    starts = (present, present.firm)
+    starts = (present, present.with_default_priors)
     gains = np.max([start.gains(candidates) for start in starts], axis=0)
     column = int(candidates[np.argmax(gains)])
-    if np.max(gains) < max(_VISIBLE * float(np.max(present.rows.counts[present.rows.fast])), TOLD**2):
+    if np.max(gains) < max(_VISIBLE * float(np.max(present.rows.counts[present.rows.fast])), SIGNIFICANT_STDS**2):
         return column, None
-    columns = np.sort(np.append(present.every, column))
+    columns = np.sort(np.append(present.all_columns, column))
     return column, min((present.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
-from geomid_ros.estimation.fit import cost_of_spreads, likely_spreads
+from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.objective import rows_at
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import (
@@ -51,7 +51,9 @@ class CoefficientRows:
     @property
     def enough(self) -> bool:
         """True if a channel has more independent rows of fast motion than non-optional unknowns, as a choice needs."""
-        unknowns = [len(np.intersect1d(channel.columns, self.standing)) for channel in self.problem.model.channels]
+        unknowns = [
+            len(np.intersect1d(channel.columns, self.required_columns)) for channel in self.problem.model.channels
+        ]
         return bool(np.any(self.counts[self.fast] > unknowns))
 
     @property
@@ -68,14 +70,14 @@ class CoefficientRows:
         return self.coefficient(column).mechanism
 
     @cached_property
-    def standing(self) -> IntArray:
+    def required_columns(self) -> IntArray:
         """Columns of all non-optional parameters, effects in their default shape."""
         return np.array([c for c in range(self.size) if c < self.first or not self.coefficient(c).optional])
 
     @cached_property
-    def always(self) -> list[Mechanism]:
+    def required_mechanisms(self) -> list[Mechanism]:
         """Mechanisms that are never left out."""
-        return [self.mechanism(column) for column in self.standing if column >= self.first]
+        return [self.mechanism(column) for column in self.required_columns if column >= self.first]
 
     @cached_property
     def shapes(self) -> dict[Mechanism, list[int]]:
@@ -90,14 +92,14 @@ class CoefficientRows:
     @cached_property
     def optional(self) -> list[int]:
         """Columns of the optional coefficients that these rows decide on."""
-        required = set(self.always)
+        required = set(self.required_mechanisms)
         columns = [column for column in self.columns if self.mechanism(column) not in required]
-        return [column for column in columns if self.coefficient(column).effect.remembers or not self.at_rest]
+        return [column for column in columns if self.coefficient(column).effect.depends_on_past or not self.at_rest]
 
     @property
     def has_choice(self) -> bool:
         """True if any coefficient may be left out or have another shape."""
-        return len(self.standing) < self.size
+        return len(self.required_columns) < self.size
 
     def candidates(self, columns: IntArray, refused: Collection[Mechanism]) -> IntArray:
         """Columns that may be added to ``columns``, without the ``refused`` mechanisms."""
@@ -122,7 +124,7 @@ class CoefficientRows:
     @cached_property
     def known_products(self) -> FloatArray:
         """Gram matrix of all columns and the residual of the known rows, at the prior without effects."""
-        manifold = StraightManifold(len(self.problem.usual), 0, self.problem.scales)
+        manifold = StraightManifold(len(self.problem.default_stds), 0, self.problem.scales)
         prior = manifold.point(np.append(self.problem.prior[: self.first], np.zeros(len(manifold.scales))))
         rows = rows_at(manifold, prior, self.problem.known.rows, self.problem.known.targets)
         return np.asarray(rows.T @ rows)
@@ -147,15 +149,15 @@ class CoefficientRows:
         return floors
 
     def fit(
-        self, columns: IntArray, start: CoefficientFit | None = None, *, spreads: FloatArray | None = None
+        self, columns: IntArray, start: CoefficientFit | None = None, *, prior_stds: FloatArray | None = None
     ) -> CoefficientFit:
-        """Fit these parameters, from an earlier fit if given. ``spreads (links,)``: fixed prior std of the links;
+        """Fit these parameters, from an earlier fit if given. ``prior_stds (links,)``: fixed prior std of the links;
         estimated unless given. Coefficients that would be negative and cannot be are zero."""
         zero = np.zeros(0, dtype=np.int64) if start is None else start.zero
-        fit = self._non_negative_fit(np.setdiff1d(columns, zero), start, spreads)
+        fit = self._non_negative_fit(np.setdiff1d(columns, zero), start, prior_stds)
         fit = replace(fit, zero=np.setdiff1d(columns, fit.columns))
-        if len(wanted := np.intersect1d(fit.wanted, zero)):
-            fit = self._non_negative_fit(np.union1d(fit.columns, wanted), fit, spreads)
+        if len(wanted := np.intersect1d(fit.needlessly_zero, zero)):
+            fit = self._non_negative_fit(np.union1d(fit.columns, wanted), fit, prior_stds)
         return replace(fit, zero=np.setdiff1d(columns, fit.columns))
 
     def _non_negative_fit(
@@ -169,7 +171,7 @@ class CoefficientRows:
 
     def _fit(self, columns: IntArray, start: CoefficientFit | None, given: FloatArray | None) -> CoefficientFit:
         """Fit in which every coefficient may be negative."""
-        problem, default = self.problem, self.problem.usual
+        problem, default = self.problem, self.problem.default_stds
         manifold = StraightManifold(len(default), 0, problem.scales[columns[columns >= self.first] - self.first])
         links = manifold.inertial
         prior = manifold.point(np.append(problem.prior[links], np.zeros(len(manifold.scales))))
@@ -186,7 +188,7 @@ class CoefficientRows:
 
         def likely(point: Point, hessian: FloatArray, _: FloatArray) -> FloatArray:
             variances = definite.variances(hessian, links.stop)
-            return likely_spreads(manifold.log(prior, point)[links], variances, default)
+            return reestimated_prior_stds(manifold.log(prior, point)[links], variances, default)
 
         result = fit_scales(objective, point, spreads if given is None else given, likely if given is None else None)
         return CoefficientFit(self, columns, result)
@@ -209,7 +211,7 @@ class CoefficientFit:
         return full
 
     @property
-    def every(self) -> IntArray:
+    def all_columns(self) -> IntArray:
         """Columns, including those fixed at zero."""
         return np.union1d(self.columns, self.zero)
 
@@ -220,14 +222,14 @@ class CoefficientFit:
         return np.array([c for c in self.columns[negative] if c >= self.rows.first and self.rows.positive(c)])
 
     @property
-    def wanted(self) -> IntArray:
+    def needlessly_zero(self) -> IntArray:
         """Columns fixed at zero that would improve the fit."""
         return self.zero[self.gains(self.zero) > 0.0] if len(self.zero) else self.zero
 
     @cached_property
-    def firm(self) -> CoefficientFit:
+    def with_default_priors(self) -> CoefficientFit:
         """Fit of the same parameters in which the links keep the default prior std."""
-        return self.rows.fit(self.every, spreads=self.rows.problem.usual)
+        return self.rows.fit(self.all_columns, prior_stds=self.rows.problem.default_stds)
 
     @cached_property
     def score(self) -> float:
@@ -235,13 +237,13 @@ class CoefficientFit:
         links = self.fit.objective.manifold.inertial
         volume = definite.log_determinant(self.fit.hessian[links, links])
         spreads = self.fit.scales
-        width = 20.0 * float(np.sum(np.log(spreads))) + cost_of_spreads(spreads, self.rows.problem.usual)
+        width = 20.0 * float(np.sum(np.log(spreads))) + prior_std_cost(spreads, self.rows.problem.default_stds)
         return 2.0 * self.fit.evaluation.value + volume + width
 
     @cached_property
     def weights(self) -> FloatArray:
         """Inverse noise variances of the groups."""
-        return self.rows.counts / self.left
+        return self.rows.counts / self.residual_squares
 
     @property
     def possible(self) -> BoolArray:
@@ -249,30 +251,33 @@ class CoefficientFit:
         others at its place."""
         sizes = self.parameters
         peers: dict[Place, dict[Effect, float]] = {}
-        for column in self.every[self.every >= self.rows.first].tolist():
+        for column in self.all_columns[self.all_columns >= self.rows.first].tolist():
             coefficient = self.rows.coefficient(column)
             peers.setdefault(coefficient.place, {})[coefficient.effect] = float(sizes[column])
         pairs = [(column, self.rows.coefficient(column)) for column in self.chosen.tolist()]
         return np.array(
-            [self.rows.allows(column, sizes[column]) and c.effect.is_borne_out(peers[c.place]) for column, c in pairs],
+            [self.rows.allows(column, sizes[column]) and c.effect.is_supported(peers[c.place]) for column, c in pairs],
             dtype=np.bool_,
         )
 
     @cached_property
     def chosen(self) -> IntArray:
         """Optional columns."""
-        return np.intersect1d(self.every, self.rows.optional)
+        return np.intersect1d(self.all_columns, self.rows.optional)
 
     @cached_property
-    def left(self) -> FloatArray:
+    def residual_squares(self) -> FloatArray:
         """Residual sum of squares of each group."""
         return self.fit.objective.profile.squares(self.fit.point)
 
     def leaves_less(self, smaller: CoefficientFit, share: float) -> bool:
         """True if it reduces the residual of a channel by this fraction, with links as fitted or links that stay near
         the prior."""
-        pairs, fast = ((self, smaller), (self.firm, smaller.firm)), self.rows.fast
-        return any(bool(np.any(one.left[fast] < (1.0 - share) * other.left[fast])) for one, other in pairs)
+        pairs, fast = ((self, smaller), (self.with_default_priors, smaller.with_default_priors)), self.rows.fast
+        return any(
+            bool(np.any(one.residual_squares[fast] < (1.0 - share) * other.residual_squares[fast]))
+            for one, other in pairs
+        )
 
     @cached_property
     def _vector(self) -> FloatArray:
@@ -312,7 +317,9 @@ class CoefficientFit:
         if len(allowed):
             shared = self.fit.objective.manifold.whiten(self.fit.point, products[allowed[:, None], self.columns])
             squares = products[allowed, columns[allowed]]
-            unexplained = squares - np.sum(shared.T * definite.solved_anyway(self.fit.hessian, shared.T), axis=0)
+            unexplained = squares - np.sum(
+                shared.T * definite.solve_or_least_squares(self.fit.hessian, shared.T), axis=0
+            )
             independent = unexplained > ROUNDING * squares
             gains[allowed] = np.where(independent, values[allowed] ** 2 / np.where(independent, unexplained, 1.0), 0.0)
         return gains

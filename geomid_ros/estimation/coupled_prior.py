@@ -21,7 +21,7 @@ from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
 
-DOUBTED = 0.5
+RELEASED_BELOW = 0.5
 """Weight below which a block is reported as released."""
 
 
@@ -57,11 +57,11 @@ class CoupledPrior(ABC):
         """Degrees of freedom of the t-distribution of each block's distance."""
 
     @abstractmethod
-    def offs(self, weights: Mapping[str, float], /) -> Iterable[FloatArray]:
+    def block_distances(self, weights: Mapping[str, float], /) -> Iterable[FloatArray]:
         """Rows ``(r, k)`` per block that map the tangent coordinates to its distance, in units of the default size."""
 
     @abstractmethod
-    def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
+    def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
         """Yield a sentence for each block that was released."""
 
     @property
@@ -80,14 +80,14 @@ class CoupledPrior(ABC):
         rows = np.zeros((len(root), self.problem.model.dimension))
         rows[:, self.columns] = self.manifold.by_blocks(root, np.asarray(np.linalg.inv(blocks)), 1.0 / diagonal)
         targets = rows @ point.parameters - root @ tangent
-        return self.problem.beside(WeighedRows(rows, targets))
+        return self.problem.with_known_rows(WeighedRows(rows, targets))
 
     def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
         """Weights of the blocks, from the expected squares of their coordinates at a fit."""
         tangent = self.tangent(found.place)
         expected = np.column_stack([tangent, self._covariance_root(found, tangent)])
         weights = {}
-        for name, off in zip(self.names, self.offs(before), strict=True):
+        for name, off in zip(self.names, self.block_distances(before), strict=True):
             square = float(np.sum((off @ expected) ** 2))
             weights[name] = min(1.0, (self.freedom + len(off)) / (self.freedom + square))
         return weights
@@ -103,7 +103,7 @@ class CoupledPrior(ABC):
         return manifold.by_blocks(root.T, moved, rest / diagonal).T
 
 
-def fit_beside(
+def fit_with_coupled_prior(
     prior: CoupledPrior, solve: Callable[..., Fit], given: Mapping[str, float] | None = None
 ) -> tuple[Fit, Mapping[str, float]]:
     """Fit a problem with a coupled prior.
@@ -122,9 +122,9 @@ def fit_beside(
     weights = given or prior.weights(found, prior.trusted)
     for _ in range(ROUNDS):
         point, before = found.place, weights
-        found = solve(prior.problem_at(point, weights), start=point, spreads=found.spreads)
+        found = solve(prior.problem_at(point, weights), start=point, spreads=found.prior_stds)
         weights = given or prior.weights(found, before)
         change = max(abs(np.log(weights[name] / before[name])) for name in weights)
         if change < SETTLED and np.max(np.abs(prior.tangent(found.place) - prior.tangent(point))) < SETTLED:
             return found, weights
-    return replace(found, spent=True), weights
+    return replace(found, budget_exhausted=True), weights

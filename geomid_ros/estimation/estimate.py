@@ -14,7 +14,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-TOLD = 3.0
+SIGNIFICANT_STDS = 3.0
 """Ratio of a quantity or effect to its standard deviation from which it is significant."""
 FINEST = 1e7
 """Inverse of the smallest relative error of an inertia that data can resolve."""
@@ -50,9 +50,9 @@ class LinkEstimate(UncertainInertia):
         return () if self.outlier else tuple(name for name in QUANTITIES if name not in self.cannot_tell)
 
 
-def is_told(value: float, deviation: float) -> bool:
-    """True if a quantity exceeds :data:`TOLD` of its standard deviations."""
-    return bool(abs(value) > TOLD * deviation)
+def is_significant(value: float, deviation: float) -> bool:
+    """True if a quantity exceeds :data:`SIGNIFICANT_STDS` of its standard deviations."""
+    return bool(abs(value) > SIGNIFICANT_STDS * deviation)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +133,7 @@ class Estimate:
         channels: Names of the measured channels.
         sigmas, rms_nominal, rms: ``(channels,)`` in the channels' units: standard deviations, and RMS residuals of the
             nominal and of the identified model; NaN where nothing was measured.
-        spreads: Prior std ``(links,)`` of the links as found from the data, geodesic distances.
+        prior_stds: Prior std ``(links,)`` of the links as found from the data, geodesic distances.
         information: Log-likelihood of all links together.
         rows, targets: Rows ``(<= D, D)`` and targets of all parameters of the posterior, with independent errors of
             standard deviation 1.
@@ -154,7 +154,7 @@ class Estimate:
     parameters: FloatArray
     channels: tuple[str, ...]
     sigmas: FloatArray
-    spreads: FloatArray
+    prior_stds: FloatArray
     rms_nominal: FloatArray
     rms: FloatArray
     information: LinksInformation

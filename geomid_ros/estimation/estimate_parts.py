@@ -32,9 +32,9 @@ def links(
     estimates = []
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
-        covariances = (found.covariance, found.doubted, found.prior)
+        covariances = (found.covariance, found.with_enlarged_prior, found.prior)
         std, doubted, prior_std = (deviations_of(sensitivity[index], c[block, block]) for c in covariances)
-        default_std = problem.usual[index] * np.linalg.norm(sensitivity[index], axis=1)
+        default_std = problem.default_stds[index] * np.linalg.norm(sensitivity[index], axis=1)
         prior_std = np.minimum(prior_std, default_std)
         is_identified = identified(parameters[index], doubted, prior_std)
         estimates.append(

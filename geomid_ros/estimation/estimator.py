@@ -13,10 +13,10 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.choice import Choice, choose
-from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_beside
+from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_with_coupled_prior
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.file_fits import fit_files
-from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit, likelier
+from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, PopulationPrior
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.paper_estimator import OBJECTIVES
@@ -108,7 +108,7 @@ def estimate(
     settings: EstimatorSettings = EstimatorSettings(),
     prior: FloatArray | None = None,
     warm: WarmStart | None = None,
-    spreads: FloatArray | None = None,
+    prior_stds: FloatArray | None = None,
     known: WeighedRows | None = None,
 ) -> Estimate:
     """Choose the optional effects, and solve for all parameters from the summarised rows.
@@ -122,7 +122,7 @@ def estimate(
         settings: How to solve.
         prior: Parameters ``(D,)`` instead of the URDF's inertias and the effects' fitted start; NaN if unknown.
         warm: Where to start; without it the result depends on nothing but the rows.
-        spreads: Default prior std ``(links,)`` of the links, geodesic distances; that of a CAD file unless given.
+        prior_stds: Default prior std ``(links,)`` of the links, geodesic distances; that of a CAD file unless given.
         known: Rows in addition to those of the weighed masses: results of other data.
 
     Raises:
@@ -139,7 +139,7 @@ def estimate(
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
         independent=_filter_fraction(summary, settings.cutoff),
-        given_spreads=spreads,
+        given_spreads=prior_stds,
     )
     # Repeats of a motion count when effects are chosen; for the uncertainty of the parameters they hardly do.
     independent = full_problem.independent * subproblem(full_problem, _required_columns(model)).distinct
@@ -155,7 +155,7 @@ def estimate(
         if start is not None:
             solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), spreads=start.spreads)
         elif alternative is not None and alternative.parameters is not None:
-            solve = likelier(solve, problem.place(alternative.parameters[columns]), alternative.spreads)
+            solve = with_second_start(solve, problem.place(alternative.parameters[columns]), alternative.prior_stds)
         return _solve_with_prior(_coupled_prior(settings, problem), problem, solve, weights)
 
     kept_columns = None if warm is None else _kept_columns(model, warm)
@@ -199,8 +199,8 @@ def _solve_with_prior(
     """Return the fit with the coupled prior if there is one, the weights of its blocks, and warning sentences."""
     if prior is None:
         return solve(problem), {}, ()
-    fit_with_prior, block_weights = fit_beside(prior, solve, block_weights)
-    return fit_with_prior, block_weights, prior.unlike(block_weights)
+    fit_with_prior, block_weights = fit_with_coupled_prior(prior, solve, block_weights)
+    return fit_with_prior, block_weights, prior.release_warnings(block_weights)
 
 
 def _kept_columns(model: MeasurementModel, warm: WarmStart) -> IntArray:
@@ -293,7 +293,7 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
     )
     parameters = np.zeros(whole.dimension)
     parameters[columns] = solution.point.parameters
-    factor = np.sqrt(min(errors.share, problem.independent))
+    factor = np.sqrt(min(errors.independent_fraction, problem.independent))
     return Estimate(
         converged=solution.converged,
         reason=solution.reason,
@@ -306,7 +306,7 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),
-        spreads=frozen(fitted.spreads),
+        prior_stds=frozen(fitted.prior_stds),
         rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
         information=uncertainty.links_information(
@@ -316,19 +316,23 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         rows=frozen(factor * fitted.rows[0]),
         targets=frozen(factor * fitted.rows[1]),
         known=estimate_parts.weighed(problem, solution.point, errors),
-        warnings=(*_outlier_warnings(model, fitted, solution.point), *([_SPENT] if fitted.spent else []), *notes),
+        warnings=(
+            *_outlier_warnings(model, fitted, solution.point),
+            *([_SPENT] if fitted.budget_exhausted else []),
+            *notes,
+        ),
     )
 
 
 def _outliers(fitted: Fit) -> BoolArray:
     """True for each link whose fitted prior std is far above the default ``(links,)``."""
-    return np.asarray(fitted.spreads > _FAR * fitted.problem.usual)
+    return np.asarray(fitted.prior_stds > _FAR * fitted.problem.default_stds)
 
 
 def _outlier_warnings(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
     """Yield a warning for each link that left its prior."""
     pairs = zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
-    ratios = fitted.spreads / fitted.problem.usual
+    ratios = fitted.prior_stds / fitted.problem.default_stds
     for name, outlier, ratio, (before, after) in zip(model.body_names, _outliers(fitted), ratios, pairs, strict=True):
         if outlier:
             change = f"moved from {before[3, 3]:.3g} to {after[3, 3]:.3g} kg"

@@ -22,9 +22,9 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 
 def fit_files(
     model: MeasurementModel,
-    chosen: IntArray,
+    estimate_columns: IntArray,
     files: Mapping[str, tuple[str, ...]],
-    untold: IntArray,
+    insignificant_errors: IntArray,
     choose: Callable[[IntArray, IntArray], IntArray],
     fitted: Callable[[IntArray], Fit],
 ) -> dict[str, FloatArray]:
@@ -32,9 +32,9 @@ def fit_files(
 
     Args:
         model: the model with all its coefficients.
-        chosen: columns of the parameters of the estimate.
+        estimate_columns: columns of the parameters of the estimate.
         files: elements of a file, by its reader (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`).
-        untold: columns of sensor errors that are not significant.
+        insignificant_errors: columns of sensor errors that are not significant.
         choose: chooses effects among the columns that a file can hold, starting from those of the estimate among them:
             other effects may absorb one that the file lacks.
         fitted: fits the parameters of some columns.
@@ -42,8 +42,8 @@ def fit_files(
     by_columns: dict[tuple[int, ...], FloatArray] = {}
     within = {}
     for reader, elements in files.items():
-        held = np.setdiff1d(held_columns(model, np.arange(model.dimension), elements), untold)
-        columns = choose(held, np.setdiff1d(held_columns(model, chosen, elements), untold))
+        held = np.setdiff1d(held_columns(model, np.arange(model.dimension), elements), insignificant_errors)
+        columns = choose(held, np.setdiff1d(held_columns(model, estimate_columns, elements), insignificant_errors))
         if (key := tuple(columns.tolist())) not in by_columns:  # different files may hold the same columns
             parameters = np.zeros(model.dimension)
             parameters[columns] = fitted(columns).point.parameters

@@ -18,7 +18,7 @@ import numpy as np
 from geomid_ros.estimation.objective import Evaluation, ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
-from geomid_ros.estimation.starting_point import USUAL_SPREAD
+from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDS, SETTLED
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
@@ -34,8 +34,8 @@ _SETTLED = 1e-7  # relative change of noise and prior std, which falls to about 
 _SETTLED_WARM = 1e-8  # the same for a warm start: its rounds are extrapolated, so that few more are needed
 
 
-def likely_spreads(
-    off: FloatArray, variances: FloatArray, usual: FloatArray, certainty: float = CERTAINTY
+def reestimated_prior_stds(
+    off: FloatArray, variances: FloatArray, default_stds: FloatArray, certainty: float = CERTAINTY
 ) -> FloatArray:
     """Re-estimate the prior std of each link ``(links,)`` by MacKay ("Bayesian interpolation", 1992): the mean square
     of its error, including the posterior variance.
@@ -43,16 +43,16 @@ def likely_spreads(
     Args:
         off: tangent coordinates ``(10 links,)`` of the links, from their priors.
         variances: posterior variances ``(10 links,)`` of these.
-        usual: default prior std ``(links,)``, geodesic distances.
+        default_stds: default prior std ``(links,)``, geodesic distances.
         certainty: weight of the default prior std, in directions of the tangent space.
     """
     squares = np.sum((off**2 + variances).reshape(-1, SIZE), axis=1)
-    return np.asarray(np.sqrt((squares + certainty * usual**2) / (SIZE + certainty)))
+    return np.asarray(np.sqrt((squares + certainty * default_stds**2) / (SIZE + certainty)))
 
 
-def cost_of_spreads(spreads: FloatArray, usual: FloatArray, certainty: float = CERTAINTY) -> float:
-    """Minus twice the log density of the prior stds ``spreads (links,)``, up to a constant."""
-    relative = spreads / usual
+def prior_std_cost(prior_stds: FloatArray, default_stds: FloatArray, certainty: float = CERTAINTY) -> float:
+    """Minus twice the log density of ``prior_stds (links,)``, up to a constant."""
+    relative = prior_stds / default_stds
     return certainty * float(np.sum(relative**-2.0 + 2.0 * np.log(relative)))
 
 
@@ -64,16 +64,16 @@ class Fit:
         problem: the fitted problem.
         place: end of the search, which uses products of the rows.
         sigmas: standard deviations ``(groups,)``.
-        spreads: prior std of each link ``(links,)``, geodesic distances.
-        spent: True if the search ended because the budget of steps was used up.
+        prior_stds: prior std of each link ``(links,)``, geodesic distances.
+        budget_exhausted: True if the search ended because the budget of steps was used up.
         tolerance, max_steps: see :func:`fit`.
     """
 
     problem: Problem
     place: Point
     sigmas: FloatArray
-    spreads: FloatArray
-    spent: bool
+    prior_stds: FloatArray
+    budget_exhausted: bool
     tolerance: float
     max_steps: int
 
@@ -85,7 +85,7 @@ class Fit:
     @cached_property
     def objective(self) -> ResidualObjective:
         """Objective with the noise and the prior weights that the search found."""
-        return _objective(self.problem, self.rows, self.spreads)
+        return _objective(self.problem, self.rows, self.prior_stds)
 
     @cached_property
     def solution(self) -> Solution:
@@ -105,11 +105,11 @@ class Fit:
     @property
     def assumed_spreads(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error, tangent coordinates."""
-        return _every_spread(self.problem, self.spreads)
+        return _every_spread(self.problem, self.prior_stds)
 
     @cached_property
     def _rough(self) -> ProductsObjective:
-        return _rough(self.problem, self.sigmas, self.spreads)
+        return _rough(self.problem, self.sigmas, self.prior_stds)
 
     @cached_property
     def _evaluation(self) -> Evaluation:
@@ -129,13 +129,13 @@ class Fit:
         volume = definite.log_determinant(self.information)
         likelihood = 2.0 * problem.independent * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
         widths = float(np.sum(np.log(problem.independent * self._rough.prior_weights)))
-        return likelihood + volume - widths + cost_of_spreads(self.spreads, problem.usual)
+        return likelihood + volume - widths + prior_std_cost(self.prior_stds, problem.default_stds)
 
 
 def fit(
     problem: Problem,
     start: Point | None = None,
-    spreads: FloatArray | None = None,
+    prior_stds: FloatArray | None = None,
     *,
     tolerance: float,
     max_steps: int,
@@ -145,51 +145,51 @@ def fit(
     Args:
         problem: the problem to fit.
         start: where to start; the prior unless given.
-        spreads: prior std of the links to start with; the default ones unless given.
+        prior_stds: prior std of the links to start with; the default ones unless given.
         tolerance: largest geodesic distance of the result from the minimum.
         max_steps: largest number of solver steps per round, in which noise and prior std are fixed.
     """
     point = start or problem.prior_point
-    spreads = problem.usual if spreads is None or problem.gamma is not None else spreads
+    prior_stds = problem.default_stds if prior_stds is None or problem.gamma is not None else prior_stds
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     # Near its fixed point the iteration is linear: it can be extrapolated, and one solver step per round is enough.
     extrapolation, steps_per_round = (None, max_steps) if start is None else (Extrapolation(), 1)
     steps, spent, within = 0, False, _SETTLED if start is None else _SETTLED_WARM
     for _ in range(ROUNDS):
-        rough = _rough(problem, sigmas, spreads)
+        rough = _rough(problem, sigmas, prior_stds)
         solution = trust_region(rough, point, _gradient(rough, tolerance), steps_per_round)
         point, steps = solution.point, steps + solution.steps
-        before = np.log(np.concatenate([sigmas, spreads]))
+        before = np.log(np.concatenate([sigmas, prior_stds]))
         sigmas = problem.noise(point.parameters)
         if problem.gamma is None:
-            spreads = _spreads(problem, rough, solution)
-        after = np.log(np.concatenate([sigmas, spreads]))
+            prior_stds = _spreads(problem, rough, solution)
+        after = np.log(np.concatenate([sigmas, prior_stds]))
         if np.all(np.abs(after - before) < within):
             break
         spent = steps > _BUDGET * max_steps
         if spent:
             break
         if extrapolation is not None:
-            sigmas, spreads = np.split(np.exp(extrapolation.next(before, after)), [len(sigmas)])
+            sigmas, prior_stds = np.split(np.exp(extrapolation.next(before, after)), [len(sigmas)])
     return Fit(
         problem=problem,
         place=point,
         sigmas=sigmas,
-        spreads=spreads,
-        spent=spent,
+        prior_stds=prior_stds,
+        budget_exhausted=spent,
         tolerance=tolerance,
         max_steps=max_steps,
     )
 
 
-def likelier(solve: Callable[..., Fit], other: Point, spreads: FloatArray | None) -> Callable[..., Fit]:
-    """Wrap a solver such as :func:`fit`: without a start it also solves from ``other`` with other ``spreads (links,)``,
-    and returns the more likely of the two minima."""
+def with_second_start(solve: Callable[..., Fit], other: Point, prior_stds: FloatArray | None) -> Callable[..., Fit]:
+    """Wrap a solver such as :func:`fit`: without a start it also solves from ``other`` with other ``prior_stds
+    (links,)``, and returns the more likely of the two minima."""
 
     def best(problem: Problem, start: Point | None = None, **keywords: FloatArray) -> Fit:
         if start is not None:
             return solve(problem, start, **keywords)
-        first, second = solve(problem), solve(problem, other, spreads)
+        first, second = solve(problem), solve(problem, other, prior_stds)
         return second if second.score < first.score - SETTLED else first
 
     return best
@@ -209,7 +209,7 @@ def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> Fl
     """Weights ``(D,)`` of the squared distance to the prior; ``measured``: weight of the measured rows."""
     prior_std = _every_spread(problem, spreads)
     if problem.gamma is not None:
-        return np.asarray(problem.gamma * measured * (USUAL_SPREAD / prior_std) ** 2)
+        return np.asarray(problem.gamma * measured * (DEFAULT_PRIOR_STD / prior_std) ** 2)
     # All rows enter the objective, but only a fraction is independent: prior and weighed masses count more in return.
     return np.asarray(prior_std**-2.0 / problem.independent)
 
@@ -248,9 +248,11 @@ def _measured_weight(problem: Problem, measured: tuple[FloatArray, FloatArray]) 
 
 
 def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution) -> FloatArray:
-    """MacKay's re-estimate of the prior std of each link (:func:`likely_spreads`)."""
+    """MacKay's re-estimate of the prior std of each link (:func:`reestimated_prior_stds`)."""
     manifold = problem.manifold
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
     variances = definite.variances(problem.independent * information, links.stop)
-    return likely_spreads(manifold.log(problem.prior_point, solution.point)[links], variances, problem.usual)
+    return reestimated_prior_stds(
+        manifold.log(problem.prior_point, solution.point)[links], variances, problem.default_stds
+    )

@@ -15,10 +15,10 @@ from geomid_ros.estimation.channel_products import usable
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
 from geomid_ros.estimation.fit import INDEPENDENT
-from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
+from geomid_ros.estimation.revocable_buffer import BufferedSample, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.model.measurement import MeasurementModel, Rows
-from geomid_ros.model.samples import PIECE, REGIMES, Samples, regimes
+from geomid_ros.model.samples import REGIMES, SAMPLES_PER_PIECE, Samples, regimes
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -92,8 +92,8 @@ class Identifier:
     """Accumulate rows of samples, and solve for the parameters. One thread may add while another solves.
 
     Samples with new rows are counted (:attr:`instants`). Rows of some channels can be left out from a sample on, as if
-    they had never been taken. This holds for samples that are buffered (:meth:`hold`) and not settled yet. Estimates
-    use all rows that are not left out.
+    they had never been taken. This holds for samples that are buffered (:meth:`buffer_last`) and not settled yet.
+    Estimates use all rows that are not left out.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class Identifier:
             self.instants += len(elapsed)
             return
         for instant in zip(coefficients, targets, elapsed.tolist(), motion_regimes, states, strict=True):
-            self._recent.append(Instant(self.instants, *instant))
+            self._recent.append(BufferedSample(self.instants, *instant))
             self.instants += 1
         self._settle_before(self.instants - self._held)
 
@@ -201,14 +201,14 @@ class Identifier:
         return channel_regimes
 
     def _settle_before(self, number: float) -> None:
-        settled = list[Instant]()
+        settled = list[BufferedSample]()
         while self._recent.first < number:
             instant, rejected = self._recent.pop()
             self._rejected += rejected
             settled.append(instant)
         _with(self._summary, settled)
 
-    def hold(self, instants: int) -> None:
+    def buffer_last(self, instants: int) -> None:
         """Buffer the last ``instants`` samples (none at first), whose rows can still be left out; settle the rest."""
         with self._lock:
             self._held = instants
@@ -220,7 +220,7 @@ class Identifier:
             with self._lock:
                 if self._recent.first >= before:
                     break
-                self._settle_before(min(before, self._recent.first + PIECE))
+                self._settle_before(min(before, self._recent.first + SAMPLES_PER_PIECE))
 
     def leave_out(self, reason: str, channels: Sequence[int], begin: int) -> bool:
         """Leave out the rows of ``channels`` from sample number ``begin`` on, unless settled.
@@ -230,11 +230,11 @@ class Identifier:
         with self._lock:
             return self._recent.leave_out(reason, channels, begin)
 
-    def take_again(self, reason: str, begin: int) -> bool:
+    def restore_rows(self, reason: str, begin: int) -> bool:
         """Take the rows that are left out for this reason from sample number ``begin`` on, unless settled. Returns
         False if there are none."""
         with self._lock:
-            return self._recent.take_again(reason, begin)
+            return self._recent.restore_rows(reason, begin)
 
     def _elapsed(self, stamp: int) -> float:
         """Seconds since the last sample: 0 if time goes back or for the first sample, at most :data:`LONGEST_STEP`."""
@@ -342,9 +342,9 @@ class Identifier:
         self._solve = solve
 
 
-def _with(summary: RowSummary, instants: Sequence[Instant]) -> RowSummary:
+def _with(summary: RowSummary, instants: Sequence[BufferedSample]) -> RowSummary:
     """Add samples to the summary, and return it."""
-    for begin in range(0, len(instants), PIECE):
-        rows = (instant.rows for instant in instants[begin : begin + PIECE])
+    for begin in range(0, len(instants), SAMPLES_PER_PIECE):
+        rows = (instant.rows for instant in instants[begin : begin + SAMPLES_PER_PIECE])
         summary.add(*map(np.array, zip(*rows, strict=True)))
     return summary

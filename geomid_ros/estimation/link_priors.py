@@ -18,26 +18,26 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.coupled_prior import DOUBTED, CoupledPrior
-from geomid_ros.estimation.fit import CERTAINTY, cost_of_spreads, likely_spreads
+from geomid_ros.estimation.coupled_prior import RELEASED_BELOW, CoupledPrior
+from geomid_ros.estimation.fit import CERTAINTY, prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.symmetric import SIZE
-from geomid_ros.model.alike_parts import OWN_SPREAD, AlikeParts
+from geomid_ros.model.alike_parts import ALIKE_PRIOR_STD, AlikeParts
 from geomid_ros.types import FloatArray
 
 
-def common_spreads(parts: Sequence[AlikeParts], usual: FloatArray) -> FloatArray:
-    """Prior std of each link alone ``(links,)``; the ``usual (links,)`` ones are for its total error."""
-    spreads = usual.copy()
+def common_prior_stds(parts: Sequence[AlikeParts], default_stds: FloatArray) -> FloatArray:
+    """Prior std of each link alone ``(links,)``; the ``default_stds (links,)`` ones are for its total error."""
+    spreads = default_stds.copy()
     for group in parts:
         spreads[list(group.members)] *= np.sqrt(len(group.members))
     return spreads
 
 
-def from_common(parts: Sequence[AlikeParts], own: FloatArray, values: FloatArray) -> FloatArray:
+def deviation_from_common(parts: Sequence[AlikeParts], own: FloatArray, values: FloatArray) -> FloatArray:
     """Deviations ``(n, 10, k)`` of the n alike links from their common part, for ``values (10 links, k)`` of the
     tangent coordinates of all links. The common part is the mean, weighted by the individual stds ``own (n,)``."""
     deviations, first = [np.zeros((0, SIZE, values.shape[1]))], 0
@@ -50,23 +50,25 @@ def from_common(parts: Sequence[AlikeParts], own: FloatArray, values: FloatArray
     return np.concatenate(deviations)
 
 
-def held_together(parts: Sequence[AlikeParts], own: FloatArray, size: int) -> FloatArray:
+def alike_rows(parts: Sequence[AlikeParts], own: FloatArray, size: int) -> FloatArray:
     """Rows ``(10 n, size)`` of the prior: the deviations from the common part, in units of the individual stds."""
-    return np.asarray((from_common(parts, own, np.eye(size)) / own[:, None, None]).reshape(-1, size))
+    return np.asarray((deviation_from_common(parts, own, np.eye(size)) / own[:, None, None]).reshape(-1, size))
 
 
-def likely_own(parts: Sequence[AlikeParts], own: FloatArray, tangent: FloatArray, root: FloatArray) -> FloatArray:
+def reestimated_individual_stds(
+    parts: Sequence[AlikeParts], own: FloatArray, tangent: FloatArray, root: FloatArray
+) -> FloatArray:
     """Re-estimate the individual stds ``(n,)`` from those before; ``tangent (k,)``: coordinates of all links,
     ``root (k, r)``: a root of their covariance."""
-    off = from_common(parts, own, tangent[:, None]).ravel()
-    variances = np.sum(from_common(parts, own, root) ** 2, axis=2).ravel()
-    return likely_spreads(off, variances, np.full(len(own), OWN_SPREAD))
+    off = deviation_from_common(parts, own, tangent[:, None]).ravel()
+    variances = np.sum(deviation_from_common(parts, own, root) ** 2, axis=2).ravel()
+    return reestimated_prior_stds(off, variances, np.full(len(own), ALIKE_PRIOR_STD))
 
 
-def cost_of_own(parts: Sequence[AlikeParts], own: FloatArray) -> float:
+def individual_std_cost(parts: Sequence[AlikeParts], own: FloatArray) -> float:
     """Minus twice the log density of the individual stds ``own (n,)``, with the normalisation of the rows, up to a
     constant."""
-    cost, first = cost_of_spreads(own, np.full(len(own), OWN_SPREAD)), 0
+    cost, first = prior_std_cost(own, np.full(len(own), ALIKE_PRIOR_STD)), 0
     for group in parts:
         precisions = own[first : first + len(group.members)] ** -2.0
         cost += SIZE * float(np.log(np.sum(precisions)) - np.sum(np.log(precisions)))
@@ -83,7 +85,10 @@ class AlikePrior(CoupledPrior):
     @staticmethod
     def of(parts: Sequence[AlikeParts], problem: Problem) -> AlikePrior:
         """Build the prior of a problem whose links have the URDF's prior."""
-        spreads, columns = common_spreads(parts, problem.usual), np.arange(len(problem.model.nominal_inertias))
+        spreads, columns = (
+            common_prior_stds(parts, problem.default_stds),
+            np.arange(len(problem.model.nominal_inertias)),
+        )
         return AlikePrior(replace(problem, given_spreads=spreads), columns, parts)
 
     @cached_property
@@ -108,20 +113,22 @@ class AlikePrior(CoupledPrior):
 
     def root(self, weights: Mapping[str, float]) -> FloatArray:
         """Deviation of each link from the common part, in units of its individual std."""
-        return held_together(self.parts, self._own(weights), len(self.columns))
+        return alike_rows(self.parts, self._own(weights), len(self.columns))
 
-    def offs(self, weights: Mapping[str, float], /) -> FloatArray:
+    def block_distances(self, weights: Mapping[str, float], /) -> FloatArray:
         """Deviation of each link from the weighted mean of the alike ones, in units of its default std."""
-        return np.asarray(from_common(self.parts, self._own(weights), np.eye(len(self.columns))) / OWN_SPREAD)
+        return np.asarray(
+            deviation_from_common(self.parts, self._own(weights), np.eye(len(self.columns))) / ALIKE_PRIOR_STD
+        )
 
     def _own(self, weights: Mapping[str, float]) -> FloatArray:
-        return OWN_SPREAD * np.array([weights[name] for name in self.names]) ** -0.5
+        return ALIKE_PRIOR_STD * np.array([weights[name] for name in self.names]) ** -0.5
 
-    def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
+    def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
         """Yield a sentence for each link that is unlike the others."""
         for group in self.parts:
             for name in group.names:
-                if weights[name] < DOUBTED:
+                if weights[name] < RELEASED_BELOW:
                     others = ", ".join(other for other in group.names if other != name)
                     yield (
                         f"link '{name}' differs from {others}, which are the same part by the URDF, and was released "
@@ -164,7 +171,7 @@ class PopulationPrior(CoupledPrior):
         columns = np.array([*places, *effects])
         given = np.full(model.dimension, np.nan)
         given[columns] = subset.parameters
-        spreads = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.usual)
+        spreads = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.default_stds)
         return PopulationPrior(replace(problem, given=given, given_spreads=spreads), columns, subset)
 
     @property
@@ -203,7 +210,7 @@ class PopulationPrior(CoupledPrior):
         """Degrees of freedom: the population's robots and :data:`SHARED`."""
         return self.population.robots + SHARED
 
-    def offs(self, _: Mapping[str, float], /) -> Iterator[FloatArray]:
+    def block_distances(self, _: Mapping[str, float], /) -> Iterator[FloatArray]:
         """Yield rows that whiten each block by the population's covariance."""
         for name in self.names:
             block = self.population.blocks[name]
@@ -212,10 +219,10 @@ class PopulationPrior(CoupledPrior):
             rows[:, block] = np.linalg.inv(factor)
             yield rows
 
-    def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
+    def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
         """Yield a sentence for each link or effect that is unlike the population's."""
         for name, weight in weights.items():
-            if weight < DOUBTED:
+            if weight < RELEASED_BELOW:
                 label = f"link '{name}'" if name in self.population.links else f"the {name.replace('_', ' ')} of joints"
                 yield (
                     f"{label} differs from that of the {self.population.robots} robots of the prior and was released "

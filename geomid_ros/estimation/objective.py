@@ -250,7 +250,7 @@ class ProductsObjective:
 
 
 def rows_at(manifold: ParameterManifold, prior: Point, rows: FloatArray, targets: FloatArray) -> FloatArray:
-    """Convert rows ``(N, D)`` to rows of :meth:`ParameterManifold.off` the prior, with their residuals there as the
+    """Convert rows ``(N, D)`` to rows of :meth:`ParameterManifold.offset` the prior, with their residuals there as the
     last column, ``(N, D + 1)``. So known rows keep their precision in directions in which a link is thin."""
     return np.column_stack([manifold.rows_off(prior, rows), rows @ prior.parameters - targets])
 
@@ -313,7 +313,7 @@ def with_prior(
     """
     value, slope, products = rows
     known = np.zeros(products.shape) if known is None else known
-    off = np.append(manifold.off(prior, point), 1.0)
+    off = np.append(manifold.offset(prior, point), 1.0)
     pull = known @ off
     value += 0.5 * float(off @ pull)
     if compiled.native is None:

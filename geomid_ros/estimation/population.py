@@ -19,7 +19,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_products import triangular
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.posterior import EffectCoordinate, RobotParameters, effect_columns
-from geomid_ros.estimation.starting_point import usual_spreads
+from geomid_ros.estimation.starting_point import default_prior_stds
 from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray, frozen
@@ -132,7 +132,7 @@ class PopulationFit:
         starts = np.array([robot.prior for robot in robots])
         starts[:, manifold.inertial] = first.prior[manifold.inertial]
         self._prior = manifold.point(np.median(starts, axis=0))
-        self._usual = usual_spreads(manifold)
+        self._usual = default_prior_stds(manifold)
         self._mean = self._prior
         self._covariance = np.diag(self._usual**2)
         self._common: FloatArray | None = None

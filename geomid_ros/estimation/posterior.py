@@ -37,13 +37,13 @@ def effect_columns(names: Iterable[str], first: int) -> dict[str, IntArray]:
     return {name: first + np.flatnonzero(all_names == name) for name in dict.fromkeys(all_names.tolist())}
 
 
-def beyond_prior(covariance: FloatArray, spreads: FloatArray) -> FloatArray:
-    """Information of a posterior with this ``covariance (D, D)`` beyond that of a prior with stds ``spreads (D,)``.
+def beyond_prior(covariance: FloatArray, prior_stds: FloatArray) -> FloatArray:
+    """Information of a posterior with this ``covariance (D, D)`` beyond that of a prior with stds ``prior_stds (D,)``.
 
     Returns:
         ``(D, D)``, a factor F of the information ``F^T F`` on the coordinates in units of the prior std.
     """
-    values, vectors = np.linalg.eigh(covariance / np.outer(spreads, spreads))
+    values, vectors = np.linalg.eigh(covariance / np.outer(prior_stds, prior_stds))
     beyond = np.sqrt(np.maximum(1.0 / np.maximum(values, ROUNDING_OF_PRODUCTS) - 1.0, 0.0))
     return np.asarray((vectors * beyond).T)
 

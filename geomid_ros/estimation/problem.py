@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.objective import dual_metric, row_weights, rows_at
 from geomid_ros.estimation.starting_point import (
-    USUAL_SPREAD,
+    DEFAULT_PRIOR_STD,
     first_sigmas,
     prior_parameters,
     prior_spreads,
@@ -54,18 +54,18 @@ class Problem:
     independent: float
     given_spreads: FloatArray | None = None
 
-    def beside(self, known: WeighedRows) -> Problem:
+    def with_known_rows(self, known: WeighedRows) -> Problem:
         """Return the problem with more known rows. Properties that do not depend on these are shared by both."""
         other = replace(self, known=self.known.plus(known))
         vars(other).update({name: getattr(self, name) for name in _OF_ROWS})
         return other
 
     @cached_property
-    def usual(self) -> FloatArray:
+    def default_stds(self) -> FloatArray:
         """Default prior std of the links ``(links,)``."""
         if self.given_spreads is not None:
             return self.given_spreads
-        return np.full(len(self.model.body_names), USUAL_SPREAD)
+        return np.full(len(self.model.body_names), DEFAULT_PRIOR_STD)
 
     @cached_property
     def manifold(self) -> ParameterManifold:
@@ -85,7 +85,7 @@ class Problem:
         size at best, as positive ones are.
         """
         positive, real = np.split(self.prior_spreads[self.manifold.inertial.stop :], [self.model.positives])
-        least = USUAL_SPREAD * self.scales[: self.model.positives] / point.positives
+        least = DEFAULT_PRIOR_STD * self.scales[: self.model.positives] / point.positives
         fitted = np.abs(self.prior_point.reals) / self.manifold.scales if self.given is None else 0.0
         return np.concatenate([np.maximum(positive, least), np.maximum(real, fitted)])
 
@@ -93,7 +93,7 @@ class Problem:
     def prior_spreads(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error, tangent coordinates, before the links' are fitted."""
         spreads = prior_spreads(self.model, self.manifold, self.given)
-        spreads[self.manifold.inertial] = np.repeat(self.usual, 10)
+        spreads[self.manifold.inertial] = np.repeat(self.default_stds, 10)
         return spreads
 
     @cached_property

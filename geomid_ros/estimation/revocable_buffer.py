@@ -12,7 +12,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class Instant:
+class BufferedSample:
     """Rows of one sample.
 
     Attributes:
@@ -54,7 +54,7 @@ class RevocableBuffer:
         """Number of rows that are not left out."""
         self.rejected: Counter[str] = Counter()
         """Number of rows that are left out, by reason."""
-        self._instants: deque[Instant] = deque()
+        self._instants: deque[BufferedSample] = deque()
         self._left_out: tuple[_Exclusion, ...] = ()
 
     @property
@@ -63,7 +63,7 @@ class RevocableBuffer:
         return self._instants[0].number if self._instants else np.inf
 
     @property
-    def instants(self) -> list[Instant]:
+    def instants(self) -> list[BufferedSample]:
         """All samples, with the targets that are used now."""
         return [self._without_excluded(instant)[0] for instant in self._instants]
 
@@ -72,12 +72,12 @@ class RevocableBuffer:
         """True if there is no sample, and no rows of future samples will be left out."""
         return not self._instants and not self._left_out
 
-    def append(self, instant: Instant) -> None:
+    def append(self, instant: BufferedSample) -> None:
         """Add the next sample."""
         self._instants.append(instant)
         self._count(*self._without_excluded(instant))
 
-    def pop(self) -> tuple[Instant, Counter[str]]:
+    def pop(self) -> tuple[BufferedSample, Counter[str]]:
         """Remove and return the first sample, with the targets used now, and the number of rejected rows by reason."""
         instant, rejected = self._without_excluded(self._instants.popleft())
         self.rows -= _rows(instant)
@@ -94,7 +94,7 @@ class RevocableBuffer:
         begin = min([begin, *(span.begin for span in same)])
         return self._change([*others, _Exclusion(reason, tuple(channels), begin)])
 
-    def take_again(self, reason: str, begin: int) -> bool:
+    def restore_rows(self, reason: str, begin: int) -> bool:
         """Use the rows left out for this reason again, from sample number ``begin`` on; False if there are none."""
         same = [span for span in self._left_out if span.reason == reason and span.end == np.inf]
         return self._change([replace(span, end=begin) if span in same else span for span in self._left_out])
@@ -108,11 +108,11 @@ class RevocableBuffer:
             self._count(*self._without_excluded(instant))
         return True
 
-    def _count(self, instant: Instant, rejected: Counter[str]) -> None:
+    def _count(self, instant: BufferedSample, rejected: Counter[str]) -> None:
         self.rows += _rows(instant)
         self.rejected += rejected
 
-    def _without_excluded(self, instant: Instant) -> tuple[Instant, Counter[str]]:
+    def _without_excluded(self, instant: BufferedSample) -> tuple[BufferedSample, Counter[str]]:
         """Return the sample without the rows that are left out, and their numbers by reason."""
         rejected: Counter[str] = Counter()
         if not self._left_out:
@@ -126,5 +126,5 @@ class RevocableBuffer:
         return replace(instant, targets=targets), rejected
 
 
-def _rows(instant: Instant) -> int:
+def _rows(instant: BufferedSample) -> int:
     return int(np.count_nonzero(np.isfinite(instant.targets)))

@@ -13,7 +13,7 @@ from geomid_ros.estimation.tolerances import ROUNDING, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import REGIMES, STILL
+from geomid_ros.model.samples import REGIMES, REST_SPEED
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this fraction of the channel's size.
@@ -24,7 +24,7 @@ _LEAST_MOTION = 0.1
 _LEAST_SIGMA_SHARE = 1e-3
 # Default prior std per direction of the tangent space. Inertias from CAD: a fifth. Positive coefficients: a factor of
 # e, because they are a first fit that absorbs the inertias' errors. Real ones: a fifth of what their channel measures.
-USUAL_SPREAD = 0.2
+DEFAULT_PRIOR_STD = 0.2
 
 
 def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
@@ -74,16 +74,16 @@ def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> Floa
     return np.where(np.isfinite(scales), scales, 1.0)[len(model.nominal_inertias) :]
 
 
-def usual_spreads(manifold: ParameterManifold) -> FloatArray:
+def default_prior_stds(manifold: ParameterManifold) -> FloatArray:
     """Default prior std ``(D,)``, in tangent coordinates."""
-    spreads = np.full(manifold.dimension, USUAL_SPREAD)
+    spreads = np.full(manifold.dimension, DEFAULT_PRIOR_STD)
     spreads[manifold.positive] = 1.0
     return spreads
 
 
 def prior_spreads(model: MeasurementModel, manifold: ParameterManifold, given: FloatArray | None) -> FloatArray:
     """Default prior std ``(D,)``; coefficients that are expected to be about zero have their effect's."""
-    spreads = usual_spreads(manifold)
+    spreads = default_prior_stds(manifold)
     expected = _expected_shares(model, given)
     spreads[manifold.inertial.stop :] = np.where(np.isnan(expected), spreads[manifold.inertial.stop :], expected)
     return spreads
@@ -93,7 +93,7 @@ def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> Float
     """Expected size of each coefficient about zero ``(coefficients,)``, as a fraction of what its channel measures. NaN
     where more is known: a ``given`` prior ``(D,)``, or a first fit, as for an effect that is part of another one."""
     parts = {(c.place, part) for c in model.coefficients for part in c.effect.parts if part != c.effect}
-    expected = [None if (c.place, c.effect) in parts else c.effect.expected_share for c in model.coefficients]
+    expected = [None if (c.place, c.effect) in parts else c.effect.prior_std_fraction for c in model.coefficients]
     unknown = True if given is None else ~np.isfinite(given[len(model.nominal_inertias) :])
     return np.where(unknown, np.array(expected, dtype=np.float64), np.nan)
 
@@ -187,7 +187,7 @@ def _fitted_effects(
     regressor = factor[:, :-1][:, ~inertial]
     split = np.hstack([regressor, -regressor[:, ~positive]])
     # The apparent motion of a joint at rest must not count as evidence.
-    damping = STILL * np.sqrt(count) * np.eye(split.shape[1])
+    damping = REST_SPEED * np.sqrt(count) * np.eye(split.shape[1])
     described = np.append(model.described_coefficients[chosen - first], np.zeros(np.count_nonzero(~positive)))
     halves = _non_negative(np.concatenate([split, damping]), np.append(remainder, damping @ described))
     fitted = halves[: len(chosen)]

@@ -16,7 +16,7 @@ from geomid_ros.estimation.channel_products import triangular
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimate_parts import deviations_of, sensitivity_of_numbers
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified
-from geomid_ros.estimation.uncertainty import doubted
+from geomid_ros.estimation.uncertainty import with_enlarged_prior
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
@@ -47,7 +47,7 @@ def suggested_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, 
         return suggestions
     problem = _KnownLinks(estimate)
     for motion, rows in _candidate_motions(model, estimate):
-        for link, identified_names in zip(estimate.links, problem.told_with(rows), strict=True):
+        for link, identified_names in zip(estimate.links, problem.identified_with(rows), strict=True):
             gained = [quantity for quantity in remaining[link.name] if quantity in identified_names]
             if gained:
                 suggestions[link.name][motion] = gained
@@ -65,7 +65,7 @@ class _KnownLinks:
         self._of_prior = [link.std_prior for link in estimate.links]
         self._manifold = ParameterManifold(len(estimate.links), 0, np.zeros(0))
         self._point: Point = self._manifold.point(estimate.parameters[self._manifold.inertial])
-        self._spreads = np.repeat(estimate.spreads, 10)
+        self._spreads = np.repeat(estimate.prior_stds, 10)
         self._sensitivity = sensitivity_of_numbers(self._point)
         self._rows = self._scaled(estimate.information.rows)
 
@@ -73,11 +73,11 @@ class _KnownLinks:
         """Rows by tangent coordinates, in units of the prior std."""
         return np.asarray(self._manifold.whiten(self._point, rows) * self._spreads)
 
-    def told_with(self, rows: FloatArray) -> list[set[str]]:
+    def identified_with(self, rows: FloatArray) -> list[set[str]]:
         """Identified quantities of each link with further rows ``(N, 10 links)`` of standard deviation 1."""
         both = np.concatenate([self._rows, self._scaled(rows)])
         posterior = np.linalg.inv(np.eye(both.shape[1]) + both.T @ both)
-        covariance = doubted(posterior, posterior @ posterior)
+        covariance = with_enlarged_prior(posterior, posterior @ posterior)
         bodies = pseudo_inertia.to_parameters(self._point.pseudo_inertias)
         names = []
         for index, derivative in enumerate(self._sensitivity):

@@ -241,7 +241,7 @@ class RowSummary:
             copy._factors = tuple(triangular(factor.take(columns, axis=1)) for factor, columns in pairs)  # noqa: SLF001
         return copy
 
-    def with_more(self, channel: int, parameters: FloatArray) -> RowSummary:
+    def with_added_prediction(self, channel: int, parameters: FloatArray) -> RowSummary:
         """Copy in which the prediction of ``parameters (D,)`` is added to the targets of a channel."""
         copy = self._copy(self.channels)
         subset = parameters[self.channels[channel].columns]

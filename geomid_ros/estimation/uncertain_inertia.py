@@ -100,15 +100,17 @@ WITHIN = float(np.log(1.2))
 """Largest half-width of an identified quantity's 95 % interval along the geodesic: 20 %."""
 
 
-def identified(parameters: FloatArray, doubted: FloatArray, of_prior: FloatArray) -> BoolArray:
+def identified(parameters: FloatArray, with_enlarged_prior: FloatArray, of_prior: FloatArray) -> BoolArray:
     """True for each number of a body that is identified ``(13,)``: its quantities, then its first moments.
 
     Args:
         parameters: parameters of the body ``(10,)``.
-        doubted: standard deviations ``(13,)`` of the numbers, for enlarged prior errors (:func:`doubted`).
+        with_enlarged_prior: standard deviations ``(13,)`` of the numbers, for enlarged prior errors.
         of_prior: standard deviations ``(13,)`` in the prior, or in the default prior where these are smaller.
     """
-    return np.asarray((STDS_OF_95 * doubted <= WITHIN * sizes(parameters)) & (doubted <= of_prior))
+    return np.asarray(
+        (STDS_OF_95 * with_enlarged_prior <= WITHIN * sizes(parameters)) & (with_enlarged_prior <= of_prior)
+    )
 
 
 def sizes(parameters: FloatArray) -> FloatArray:

@@ -51,20 +51,20 @@ class Uncertainty:
         covariance: ``(D, D)`` of the estimate's error.
         inherited: The part of it that the prior's error causes.
         prior: Covariance ``(D, D)`` of the prior's error.
-        share: Fraction of the measured rows' information that correlations leave, 0 to 1.
+        independent_fraction: Fraction of the measured rows' information that correlations leave, 0 to 1.
         by_rows: Information ``(D,)`` of the rows on each coordinate, with the others free within their priors.
     """
 
     covariance: FloatArray
     inherited: FloatArray
     prior: FloatArray
-    share: float
+    independent_fraction: float
     by_rows: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
-    def doubted(self) -> FloatArray:
-        """Covariance ``(D, D)`` for enlarged prior errors, see :func:`doubted`."""
-        return doubted(self.covariance, self.inherited)
+    def with_enlarged_prior(self) -> FloatArray:
+        """Covariance ``(D, D)`` for enlarged prior errors, see :func:`with_enlarged_prior`."""
+        return with_enlarged_prior(self.covariance, self.inherited)
 
     @property
     def prior_spreads(self) -> FloatArray:
@@ -160,7 +160,7 @@ def error_covariance(
     return row_root @ row_root.T + known_root @ known_root.T, prior_root @ prior_root.T
 
 
-def doubted(covariance: FloatArray, inherited: FloatArray) -> FloatArray:
+def with_enlarged_prior(covariance: FloatArray, inherited: FloatArray) -> FloatArray:
     """Covariance ``(D, D)`` of an estimate's error if the prior's errors were three times as large; ``inherited``:
     their part of ``covariance``. A quantity that is known even then is known from the data."""
     return covariance + (_DOUBT**2 - 1.0) * inherited
@@ -185,7 +185,7 @@ def _solved(information: FloatArray, weights: FloatArray, gradient: FloatArray) 
     units = np.sqrt(weights)
     scaled = information / np.outer(units, units)
     np.fill_diagonal(scaled, np.diag(scaled) + _prior_part(scaled))
-    return np.asarray(definite.solved_anyway(scaled, gradient / units) / units)
+    return np.asarray(definite.solve_or_least_squares(scaled, gradient / units) / units)
 
 
 def _prior_part(scaled: FloatArray) -> float:
@@ -292,7 +292,10 @@ def links_information(
     effect_rows[:, size] = -manifold.log(point, prior)[first:] / found.prior_spreads[first:]
     data_rows = [
         factor * np.column_stack([rows, rows @ point.parameters - targets])
-        for factor, rows, targets in ((np.sqrt(found.share), *measured), (1.0, known.rows, known.targets))
+        for factor, rows, targets in (
+            (np.sqrt(found.independent_fraction), *measured),
+            (1.0, known.rows, known.targets),
+        )
     ]
     stacked = np.concatenate([*data_rows, effect_rows, np.zeros((first, size + 1))])
     order = [*range(first, size), *range(first), size]

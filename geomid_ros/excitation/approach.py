@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.feasibility import Distances, clearances_from, overlap
-from geomid_ros.excitation.limits import TRIED
+from geomid_ros.excitation.feasibility import PathClearance, clearances_from, overlap
+from geomid_ros.excitation.limits import RANDOM_POSTURES
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import WIDEST
+from geomid_ros.model.samples import UNLIMITED_RANGE
 from geomid_ros.types import FloatArray
 
 _SHARE, _FASTEST = 0.1, 0.25  # largest speed: fraction of the speed limit, and [rad/s, m/s]
@@ -23,7 +23,7 @@ _POINTS = 20.0  # per second
 _PEAK = 15.0 / 8.0  # peak speed over mean speed, of a quintic from rest to rest
 
 
-def way_by(joints: tuple[str, ...], postures: Sequence[FloatArray], speed_limits: FloatArray) -> Trajectory:
+def trajectory_through(joints: tuple[str, ...], postures: Sequence[FloatArray], speed_limits: FloatArray) -> Trajectory:
     """Trajectory through postures, by a quintic from rest to rest between each two. No joint is faster than a tenth of
     its limit or 0.25 rad/s (m/s).
 
@@ -59,7 +59,7 @@ def stopping_accelerations(motion: Trajectory, speed_limits: FloatArray) -> Floa
     return np.asarray(np.maximum(np.max(np.abs(motion.accelerations), axis=0), needed))
 
 
-def way_to_rest(
+def stopping_trajectory(
     joints: tuple[str, ...], position: FloatArray, velocity: FloatArray, accelerations: FloatArray
 ) -> Trajectory:
     """Trajectory of one point, at which all joints have come to rest.
@@ -81,7 +81,7 @@ def way_to_rest(
 _INSTANTS = 50  # samples of a straight path at which the effort against gravity is checked
 
 
-class Passage:
+class ApproachPath:
     """Straight joint-space paths of some joints of a robot, while its other joints are at rest."""
 
     def __init__(
@@ -117,8 +117,8 @@ class Passage:
         def path(times: FloatArray) -> FloatArray:
             return self._states(motion.states(times))
 
-        spacing = Distances(path, motion.duration, self._collision, self._clearances)
-        if not spacing.settle():
+        spacing = PathClearance(path, motion.duration, self._collision, self._clearances)
+        if not spacing.verify():
             raise InputError(f"{source}: {_said(*spacing.worst)}, {spacing.worst[2]:.2f} s after the motion's start")
 
     def to(self, here: FloatArray, there: FloatArray) -> list[FloatArray]:
@@ -128,8 +128,8 @@ class Passage:
         """
         if not (obstacle := self._obstacle(here, there)):
             return [there]
-        low, high = np.maximum(self._low, -WIDEST), np.minimum(self._high, WIDEST)
-        vias = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
+        low, high = np.maximum(self._low, -UNLIMITED_RANGE), np.minimum(self._high, UNLIMITED_RANGE)
+        vias = np.random.default_rng(0).uniform(low, high, (RANDOM_POSTURES, len(low)))
         vias = vias[np.argsort(np.max(np.abs(vias - here), axis=1) + np.max(np.abs(vias - there), axis=1))]
         for posture in vias:
             if not self._obstacle(here, posture) and not self._obstacle(posture, there):
@@ -161,8 +161,8 @@ class Passage:
             states[0], states[1] = start + times[:, None] * (goal - start), goal - start
             return self._states(states)
 
-        distances = Distances(line, 1.0, self._collision, self._clearances)
-        return "" if distances.settle() else _said(*distances.worst)
+        distances = PathClearance(line, 1.0, self._collision, self._clearances)
+        return "" if distances.verify() else _said(*distances.worst)
 
     def _states(self, moving: FloatArray) -> FloatArray:
         """States of all joints ``(4, N, all)``, from those of the moving ones ``(4, N, joints)``."""

@@ -43,7 +43,7 @@ def clearances_from(collision: CollisionModel, ends: FloatArray, clearance: floa
     return np.asarray(np.minimum(clearance, _SHARE_AT_ENDS * np.min(collision.distances(ends), axis=0)))
 
 
-class Distances:
+class PathClearance:
     """Distances at samples of a path, and their lower bounds between samples.
 
     The two bodies of a pair move no faster relative to each other than ``reach . |speeds|``. Between two samples the
@@ -56,7 +56,7 @@ class Distances:
         self._times = np.linspace(0.0, duration, int(np.ceil(_RATE * duration)) + 1)
         self._distances = collision.distances(course(self._times)[0])
 
-    def settle(self) -> bool:
+    def verify(self) -> bool:
         """Halve intervals until all clearances are certain. Return False if one is violated or stays uncertain."""
         while np.all(self._distances >= self._clearances):
             uncertain = np.flatnonzero(np.any(self._between() < self._clearances, axis=1))
@@ -187,26 +187,26 @@ class Feasibility:
         """Shrink each joint of a motion into its limits."""
         return motion.scaled(np.minimum(1.0, self.largest_scale(motion)))
 
-    def made_feasible(self, motion: ExcitingMotion, halvings: int = HALVINGS) -> ExcitingMotion:
+    def shrunk_to_feasible(self, motion: ExcitingMotion, halvings: int = HALVINGS) -> ExcitingMotion:
         """Shrink each joint of a motion into its limits, then the whole motion until efforts and distances keep theirs.
         With more ``halvings`` the result comes closer to the largest feasible size."""
         shrunk = self.within_limits(motion)
-        if self.holds(shrunk):
+        if self.keeps_limits(shrunk):
             return shrunk
         low, high = 0.0, 1.0
         for _ in range(halvings):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if self.holds(shrunk.scaled(middle)) else (low, middle)
+            low, high = (middle, high) if self.keeps_limits(shrunk.scaled(middle)) else (low, middle)
         return shrunk.scaled(low)
 
-    def holds(self, motion: ExcitingMotion) -> bool:
+    def keeps_limits(self, motion: ExcitingMotion) -> bool:
         """True if a motion within its joints' limits keeps those of efforts and distances, too."""
         times = _times(motion, _RATE)
         if np.max(self._effort_shares(motion.at(times)[:3])) > 1.0 - _RESERVE:
             return False
         if self.collision is None:
             return True
-        return Distances(motion.at, motion.form.period, self.collision, self.clearances).settle()
+        return PathClearance(motion.at, motion.form.period, self.collision, self.clearances).verify()
 
     def margins(self, motion: ExcitingMotion) -> Margins:
         """Margins of a feasible motion from all limits."""
@@ -226,8 +226,8 @@ class Feasibility:
     def _least_distances(self, motion: ExcitingMotion) -> FloatArray:
         if self.collision is None:
             return np.zeros(0)
-        distances = Distances(motion.at, motion.form.period, self.collision, self.clearances)
-        distances.settle()
+        distances = PathClearance(motion.at, motion.form.period, self.collision, self.clearances)
+        distances.verify()
         return distances.bounds()
 
 

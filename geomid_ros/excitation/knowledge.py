@@ -12,7 +12,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate_parts import effect_coordinates
 from geomid_ros.estimation.fit import INDEPENDENT
 from geomid_ros.estimation.posterior import Posterior
-from geomid_ros.estimation.starting_point import usual_spreads
+from geomid_ros.estimation.starting_point import default_prior_stds
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import ExcitingMotion
@@ -115,7 +115,7 @@ def covariance_of(precision: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(precision * np.outer(units, units)) * np.outer(units, units))
 
 
-def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Belief:
+def belief_from_urdf(model: MeasurementModel, limits: MotionLimits) -> Belief:
     """Build the belief from the URDF alone: inertias with the default prior std (CAD), effects with a broad prior.
     A positive coefficient is expected at the typical effect size, or at its <dynamics> value where that is larger."""
     acceleration = np.minimum(ACCELERATION_PER_SPEED * limits.velocity, limits.acceleration)
@@ -129,8 +129,8 @@ def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Belief:
     positive = np.arange(len(sizes)) < model.positives
     parameters = np.concatenate([model.nominal_inertias, np.where(positive, sizes, 0.0)])
     # A real coefficient may have either sign; its prior std is the size that a positive one would have.
-    scales = sizes[~positive] / usual_spreads(model.manifold(np.ones(int(np.sum(~positive)))))[-1:]
-    prior_stds = usual_spreads(model.manifold(scales))
+    scales = sizes[~positive] / default_prior_stds(model.manifold(np.ones(int(np.sum(~positive)))))[-1:]
+    prior_stds = default_prior_stds(model.manifold(scales))
     bodies = [model.robot.bodies[index] for index in model.identified]
     posterior = Posterior(
         links=model.body_names,
@@ -145,7 +145,7 @@ def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Belief:
     return Belief(model, posterior, frozen(NOISE / _USUAL_SHARE * channel_sizes))
 
 
-def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence[float], source: str) -> Belief:
+def belief_from_estimate(model: MeasurementModel, posterior: Posterior, sigmas: Sequence[float], source: str) -> Belief:
     """Build the belief from the estimate of a model with the same links and effects.
 
     The effects may be in another order. Raises InputError naming the ``source`` if it is of another robot.
@@ -204,7 +204,7 @@ def weight_of(aim: str, knowledge: Belief, others: Sequence[ExcitingMotion]) -> 
     return weight
 
 
-def meaning_of(aim: str) -> str:
+def error_description(aim: str) -> str:
     """Phrase for the error that the root of an aim's criterion measures."""
     if aim == PREDICTION:
         return "of efforts predicted for other motions, in units of the noise"
@@ -221,7 +221,7 @@ def _are_friction(knowledge: Belief) -> list[bool]:
 
 
 @dataclass(frozen=True, eq=False)
-class Expected:
+class ExpectedUncertainty:
     """Expected uncertainty at one stage: ``error`` is the root of the criterion. ``links (links, 10)`` and
     ``effects (effects,)`` are standard deviations of the links' quantities and of the effects' coefficients."""
 
@@ -231,15 +231,15 @@ class Expected:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Learning:
+class DesignComparison:
     """Expected uncertainty ``before`` and after the ``designed`` motion. For comparison: after a ``random`` feasible
     motion of equal duration, the designed one ``twice``, and a random one twice as long (``random_twice``)."""
 
-    before: Expected
-    designed: Expected
-    random: Expected
-    twice: Expected
-    random_twice: Expected
+    before: ExpectedUncertainty
+    designed: ExpectedUncertainty
+    random: ExpectedUncertainty
+    twice: ExpectedUncertainty
+    random_twice: ExpectedUncertainty
 
     @property
     def gain(self) -> float:
@@ -263,19 +263,19 @@ class Learning:
 
 def expected_learning(
     knowledge: Belief, weight: FloatArray, motion: ExcitingMotion, randoms: Sequence[ExcitingMotion]
-) -> Learning:
+) -> DesignComparison:
     """Compare a designed ``motion`` with the median of feasible ``randoms`` of its form, by the criterion of a
     ``weight (D, D)``."""
 
-    def expected(belief: Belief) -> Expected:
-        return Expected(belief.error(weight), *belief.deviations())
+    def expected(belief: Belief) -> ExpectedUncertainty:
+        return ExpectedUncertainty(belief.error(weight), *belief.deviations())
 
-    def after(information: FloatArray) -> Expected:
+    def after(information: FloatArray) -> ExpectedUncertainty:
         return expected(knowledge.after(information))
 
     designed, others = knowledge.information(motion), [knowledge.information(other) for other in randoms]
     median = sorted(others, key=lambda other: knowledge.after(other).error(weight))[len(others) // 2]
-    return Learning(
+    return DesignComparison(
         before=expected(knowledge),
         designed=after(designed),
         random=after(median),

@@ -9,13 +9,13 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import WIDEST
+from geomid_ros.model.samples import UNLIMITED_RANGE
 from geomid_ros.types import FloatArray
 
-STEEPEST = 10.0
+DERIVATIVE_RATIO = 10.0
 """[1/s] Largest ratio of acceleration to speed, and of jerk to acceleration, where no such limits are given."""
 _POSTURES = 300
-TRIED = 100
+RANDOM_POSTURES = 100
 """Maximum number of random postures tried as a start or as an intermediate posture."""
 _LEAST_SHARE = 0.1  # fraction of the effort limit left for acceleration, even where gravity needs more
 
@@ -76,13 +76,13 @@ def motion_limits(
     _require(robot, np.where(derived, effort, 0.0), "acceleration", source)
     if np.any(derived):
         by_effort = _by_effort(robot, position, effort, inertias)
-        acceleration = np.where(derived, np.minimum(by_effort, STEEPEST * velocity), acceleration)
+        acceleration = np.where(derived, np.minimum(by_effort, DERIVATIVE_RATIO * velocity), acceleration)
     by_jerk = ~np.isfinite(jerk)
     return MotionLimits(
         position=position,
         velocity=speed * velocity,
         acceleration=acceleration,
-        jerk=np.where(by_jerk, STEEPEST * acceleration, jerk),
+        jerk=np.where(by_jerk, DERIVATIVE_RATIO * acceleration, jerk),
         effort=effort,
         notes=tuple(_notes(robot.joint_names, derived, by_jerk, acceleration)),
     )
@@ -108,7 +108,7 @@ def _by_effort(robot: Robot, position: FloatArray, effort: FloatArray, inertias:
     """Accelerations ``(J,)`` that the efforts allow in addition to gravity, in the worst of random postures. Each joint
     accelerates alone."""
     random = np.random.default_rng(0)
-    low, high = np.clip(position, -WIDEST, WIDEST).T
+    low, high = np.clip(position, -UNLIMITED_RANGE, UNLIMITED_RANGE).T
     postures = random.uniform(low, high, (_POSTURES, len(effort)))
     states = np.zeros((3, *postures.shape))
     states[0] = postures
@@ -126,23 +126,23 @@ def _notes(names: Sequence[str], derived: FloatArray, by_jerk: FloatArray, accel
         text = ", ".join(f"{name} {a:.3g}" for name, a, mask in zip(names, acceleration, derived, strict=True) if mask)
         notes.append(
             "acceleration limits are derived from the effort limits, and are at most "
-            f"{STEEPEST:g} 1/s times the velocity limits [rad/s^2, m/s^2]: {text}"
+            f"{DERIVATIVE_RATIO:g} 1/s times the velocity limits [rad/s^2, m/s^2]: {text}"
         )
     if np.any(by_jerk):
         joints = "all joints" if np.all(by_jerk) else ", ".join(np.array(names)[by_jerk])
-        notes.append(f"jerk limits are {STEEPEST:g} 1/s times the acceleration limits: {joints}")
+        notes.append(f"jerk limits are {DERIVATIVE_RATIO:g} 1/s times the acceleration limits: {joints}")
     return notes
 
 
-def starts(limits: MotionLimits) -> Iterator[FloatArray]:
+def start_postures(limits: MotionLimits) -> Iterator[FloatArray]:
     """Yield start postures ``(J,)``, the most obvious first: zero where it is in the middle half of a range (else the
     middle), the middle of all ranges, and random ones in the middle halves."""
     low, high = limits.position.T
-    finite = np.clip(low, -WIDEST, None), np.clip(high, None, WIDEST)
+    finite = np.clip(low, -UNLIMITED_RANGE, None), np.clip(high, None, UNLIMITED_RANGE)
     middle, half = 0.5 * (finite[0] + finite[1]), 0.5 * (finite[1] - finite[0])
     inner = middle - 0.5 * half, middle + 0.5 * half
     yield np.where((inner[0] < 0.0) & (inner[1] > 0.0), 0.0, middle)
     yield middle
     random = np.random.default_rng(0)
-    for _ in range(TRIED):
+    for _ in range(RANDOM_POSTURES):
         yield middle + 0.5 * half * random.uniform(-1.0, 1.0, len(low))

@@ -140,12 +140,12 @@ class MotionForm:
 
     Attributes:
         period: [s].
-        slow_share: fraction of a period for the slow runs, 0 to 1.
+        slow_fraction: fraction of a period for the slow runs, 0 to 1.
         repeats: number of periods, 1 or more.
     """
 
     period: float
-    slow_share: float = 0.2
+    slow_fraction: float = 0.2
     repeats: int = 1
 
     @property
@@ -166,12 +166,12 @@ class MotionForm:
     @property
     def runs(self) -> int:
         """Number of coefficients of slow runs."""
-        slow = self.slow_share * self.period
+        slow = self.slow_fraction * self.period
         return min(len(_SPEEDS), max(1, round(slow / _RUN))) if slow > 0.0 else 0
 
     @property
     def _fast(self) -> float:
-        return (1.0 - self.slow_share) * self.period
+        return (1.0 - self.slow_fraction) * self.period
 
     @property
     def _harmonics(self) -> int:
@@ -197,7 +197,7 @@ class MotionForm:
     def _run_curves(self) -> list[tuple[float, float, tuple[PPoly, ...]]]:
         """Begin and end [s] of each run, and its position, velocity, acceleration and jerk."""
         fractions = 1.0 / np.array(_SPEEDS[: self.runs])
-        ends = self._fast + self.slow_share * self.period * np.cumsum([0.0, *(fractions / np.sum(fractions))])
+        ends = self._fast + self.slow_fraction * self.period * np.cumsum([0.0, *(fractions / np.sum(fractions))])
         return [(begin, end, _to_and_fro(begin, end)) for begin, end in pairwise(ends.tolist())]
 
     def basis(self, times: FloatArray) -> FloatArray:

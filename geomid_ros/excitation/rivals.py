@@ -13,7 +13,7 @@ from geomid_ros.estimation.tolerances import ROUNDING_OF_PRODUCTS
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
-from geomid_ros.excitation.search import BENDS, Search, random_motion
+from geomid_ros.excitation.search import FEASIBILITY_EVALUATIONS, Search, random_motion
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, OnLink, Place, Situation, SituationEffect, Values
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
@@ -31,7 +31,7 @@ _REFERENCE = 0.5  # size of the motion on which rivals are fitted first, as a fr
 
 
 @dataclass(frozen=True, eq=False)
-class Name:
+class NamedEffect:
     """A named effect that may explain a finding: any of its ``variants`` at a ``place``. It counts as so many
     ``parameters`` (BIC)."""
 
@@ -40,7 +40,7 @@ class Name:
     label: str
     parameters: float = 1.0
 
-    def is_case_of(self, other: Name) -> bool:
+    def is_case_of(self, other: NamedEffect) -> bool:
         """True if it is a special case of the ``other``, which then explains it too and is only less simple."""
         case, richer = self.variants[0], other.variants[0]
         return self.place == other.place and case != richer and (richer.contains == case.name or case in richer.parts)
@@ -50,9 +50,9 @@ class Name:
 class Ambiguity:
     """A ``found`` effect with its ``coefficients (k,)`` for ``variants[0]``, and its ``rivals``."""
 
-    found: Name
+    found: NamedEffect
     coefficients: FloatArray
-    rivals: tuple[Name, ...]
+    rivals: tuple[NamedEffect, ...]
 
 
 def responses(
@@ -97,7 +97,7 @@ def _situation(model: MeasurementModel, samples: Samples, period: float) -> Situ
         transmitted=load,
         gravity=model.robot.gravity,
         coefficients={},
-        of_load=of_load,
+        from_load_history=of_load,
         **vars(dynamics.sensitivity(samples)),
     )
 
@@ -117,8 +117,8 @@ def coefficients_of(effect: type[Effect], values: Values, parts: Sequence[Effect
 class DiscriminationCriterion:
     """Criterion of how clearly a motion decides disputes between named effects."""
 
-    def __init__(self, knowledge: Belief, disputes: Sequence[Ambiguity]) -> None:
-        self._knowledge, self.disputes = knowledge, disputes
+    def __init__(self, knowledge: Belief, ambiguities: Sequence[Ambiguity]) -> None:
+        self._knowledge, self.disputes = knowledge, ambiguities
         self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
         """The variant and the coefficients of each rival that look like what was found, by dispute and rival."""
 
@@ -160,7 +160,9 @@ class DiscriminationCriterion:
         """Smallest difference of all disputes and rivals."""
         return min(difference for differences in self.differences(motion) for difference in differences)
 
-    def _nuisance(self, rows: FloatArray, columns: Callable[[Name], list[FloatArray]], dispute: Ambiguity) -> _Nuisance:
+    def _nuisance(
+        self, rows: FloatArray, columns: Callable[[NamedEffect], list[FloatArray]], dispute: Ambiguity
+    ) -> _Nuisance:
         """Nuisance parameters, refitted with either effect: inertias, and the other findings near their sizes."""
         findings = [finding for finding in self.disputes if finding is not dispute]
         finding_columns = [columns(finding.found)[0] for finding in findings]
@@ -168,7 +170,7 @@ class DiscriminationCriterion:
         precision = np.diag(1.0 / np.maximum(sizes**2, np.finfo(float).tiny))
         return _Nuisance(np.column_stack([rows, *finding_columns]), block_diag(self._knowledge.precision, precision))
 
-    def _at(self, motion: ExcitingMotion) -> tuple[FloatArray, Callable[[Name], list[FloatArray]]]:
+    def _at(self, motion: ExcitingMotion) -> tuple[FloatArray, Callable[[NamedEffect], list[FloatArray]]]:
         """Weighted regressor ``(n, D)`` of a motion; a function for the weighted columns ``(n, k)`` of variants."""
         motion_period = motion.form.period
         count = int(np.ceil(_RATE * motion_period))
@@ -180,7 +182,7 @@ class DiscriminationCriterion:
         pairs = dict.fromkeys((variant, name.place) for name in effects for variant in name.variants)
         by_pair = dict(zip(pairs, responses(self._knowledge.model, states, step, [*pairs]), strict=True))
 
-        def columns(name: Name) -> list[FloatArray]:
+        def columns(name: NamedEffect) -> list[FloatArray]:
             weighted = (by_pair[variant, name.place] * weights[:, None] for variant in name.variants)
             return [column.reshape(-1, column.shape[2]) for column in weighted]
 
@@ -214,20 +216,20 @@ class _Nuisance:
         return max(float(target @ target - moments @ solution), 0.0), solution[size:]
 
 
-def deciding_motion(
+def discriminating_motion(
     feasibility: Feasibility,
     form: MotionForm,
-    judge: DiscriminationCriterion,
+    criterion: DiscriminationCriterion,
     random: np.random.Generator,
     progress: Callable[[float], None] = lambda _: None,
 ) -> ExcitingMotion:
-    """Find a feasible motion whose smallest difference, by the criterion ``judge``, is large: take the best of random
+    """Find a feasible motion whose smallest difference, by the ``criterion``, is large: take the best of random
     motions, and climb from there by random steps."""
-    judge.prepare(random_motion(feasibility, form, random).scaled(_REFERENCE))
-    costs = Search(feasibility, form, evaluations=BENDS)
+    criterion.prepare(random_motion(feasibility, form, random).scaled(_REFERENCE))
+    costs = Search(feasibility, form, evaluations=FEASIBILITY_EVALUATIONS)
 
     def value(motion: ExcitingMotion) -> float:
-        difference = judge.least(motion)
+        difference = criterion.least(motion)
         # The logarithm above 1, continued linearly below.
         gain = np.log(difference) if difference > 1.0 else difference - 1.0
         return costs.cost(motion) - float(gain)
@@ -247,4 +249,4 @@ def deciding_motion(
         # One success in five keeps the size of the step (Rechenberg 1973).
         step *= _GROWTH if better else _GROWTH**-0.25
     # Bending a motion into the limits may lose the discrimination. Shrinking keeps its shape.
-    return max((feasibility.made_feasible(best), costs.improved(best)), key=judge.least)
+    return max((feasibility.shrunk_to_feasible(best), costs.improved(best)), key=criterion.least)

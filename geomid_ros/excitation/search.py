@@ -23,7 +23,7 @@ from geomid_ros.types import FloatArray
 _RATE = 6.0  # [Hz] of samples
 _RANDOM = 12  # initial motions
 _STEPS = 70  # maximum number of evaluations
-BENDS = 50
+FEASIBILITY_EVALUATIONS = 50
 """Maximum number of evaluations in the search for a feasible motion."""
 _FEW = 5  # evaluations, and halvings, where a typical motion suffices
 _USED = 0.97  # fraction of a limit above which a penalty begins
@@ -56,7 +56,7 @@ def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionFor
     return criterion
 
 
-def other_motions(
+def typical_motions(
     feasibility: Feasibility, form: MotionForm, random: np.random.Generator, count: int
 ) -> list[ExcitingMotion]:
     """Draw ``count`` random motions that the robot can make. In a tight place, motions within joint limits alone are
@@ -68,7 +68,9 @@ def other_motions(
 
 def random_feasible(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> ExcitingMotion:
     """Draw a random motion, bend it where it comes too close to a limit or a body, and make it feasible."""
-    return Search(feasibility, form, evaluations=BENDS).improved(random_motion(feasibility, form, random))
+    return Search(feasibility, form, evaluations=FEASIBILITY_EVALUATIONS).improved(
+        random_motion(feasibility, form, random)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +114,7 @@ class Search:
         options = {"maxfun": self.evaluations, "maxcor": 20}
         optimum = minimize(objective, initial, jac=True, method="L-BFGS-B", options=options)
         bent = ExcitingMotion(self.form, motion.start, units * optimum.x.reshape(units.shape))
-        return self.feasibility.made_feasible(bent, self.halvings)
+        return self.feasibility.shrunk_to_feasible(bent, self.halvings)
 
     @cached_property
     def _units(self) -> FloatArray:

@@ -107,7 +107,7 @@ class JointState:
         return JointState(message.stamp, position, velocity, effort) if np.all(np.isfinite(position)) else None
 
 
-class Watch:
+class MotionMonitor:
     """Monitor of a running motion: reports why it must be stopped.
 
     Time is that of the messages' stamps since the motion's start, because a simulation may be slower than real time.
@@ -139,7 +139,7 @@ class Watch:
         return 1e-9 * (self._last - self._begin)
 
     @property
-    def whereabouts(self) -> tuple[FloatArray, FloatArray]:
+    def present_state(self) -> tuple[FloatArray, FloatArray]:
         """Present position and velocity ``(joints,)``: as measured, or as commanded after too long a silence."""
         if not self._lately or self._silent > self._silence:
             return self._motion.at(self.elapsed + self._silent)
@@ -147,7 +147,7 @@ class Watch:
         slope = (end - start) / max(last - first, _STEP)
         return self._state.position, np.where(np.isfinite(self._state.velocity), self._state.velocity, slope)
 
-    def look(self, states: Sequence[JointState], seconds: float) -> str:
+    def check(self, states: Sequence[JointState], seconds: float) -> str:
         """Check the states received within the last ``seconds``. States not newer than the last one are ignored.
 
         Returns:

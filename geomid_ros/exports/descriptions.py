@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from geomid_ros.exports import formats
-from geomid_ros.files.models.effects_file import joint_attributes, unsaid
+from geomid_ros.files.models.effects_file import joint_attributes, unrepresentable
 from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.files.models.urdf import for_drake, for_gazebo, with_effects
 from geomid_ros.model.effects import KnownEffect
@@ -62,12 +62,12 @@ _MUJOCO_NOTE = (
 _MOST_MISSING = 3  # sentences on missing shapes; the others are counted
 
 
-class Whole(NamedTuple):
-    """Text of a whole robot, sentences on what it ``lacks``, and texts of additional files (``beside``) by name."""
+class DescriptionFiles(NamedTuple):
+    """Text of a whole robot, sentences on its ``omissions``, and texts of ``extra_files`` by name."""
 
     text: str
-    lacks: list[str]
-    beside: Mapping[str, str] = MappingProxyType({})
+    omissions: list[str]
+    extra_files: Mapping[str, str] = MappingProxyType({})
 
 
 class RobotToDescribe(NamedTuple):
@@ -88,7 +88,7 @@ class DescriptionFormat(NamedTuple):
 
     note: tuple[str, ...]
     inertial: Callable[[Export], str]
-    whole: Callable[[RobotToDescribe], Whole]
+    whole: Callable[[RobotToDescribe], DescriptionFiles]
 
     def payload(self, export: Export) -> str:
         """Return one inertia below a comment with its standard deviations."""
@@ -96,44 +96,46 @@ class DescriptionFormat(NamedTuple):
         return formats.xml_comment([*comments, f"  in the frame of link '{export.frame}'"]) + self.inertial(export)
 
 
-def described(model: Model, reader: str, links: Sequence[Export], packages: Mapping[str, Path]) -> Whole:
+def described(model: Model, reader: str, links: Sequence[Export], packages: Mapping[str, Path]) -> DescriptionFiles:
     """Return the whole robot for a reader, followed by a comment on its ``links`` and on what the text omits."""
     text, omissions, beside = DESCRIPTIONS[reader].whole(as_described(model, packages))
-    lacks = [*not_said(model, ELEMENTS[reader]), *omissions]
+    lacks = [*not_representable(model, ELEMENTS[reader]), *omissions]
     lines = [*DESCRIPTIONS[reader].note, *lacks, *(line for export in links for line in formats.comments(export))]
-    return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks, beside)
+    return DescriptionFiles(text.rstrip() + "\n" + formats.xml_comment(lines), lacks, beside)
 
 
-def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
+def not_representable(model: Model, files: tuple[str, ...]) -> list[str]:
     """Return a sentence on the effects of a model that these files cannot represent, if there are any."""
-    names = unsaid(model.known, files)
+    names = unrepresentable(model.known, files)
     refit = [] if model.fitted else ["estimate.json is of an earlier version: identify again for a fit without these"]
     return [f"Not representable here: {'; '.join([*names, *refit])}"] if names else []
 
 
-def _urdf(robot: RobotToDescribe) -> Whole:
-    return Whole(with_effects(robot.urdf, robot.effects), [])
+def _urdf(robot: RobotToDescribe) -> DescriptionFiles:
+    return DescriptionFiles(with_effects(robot.urdf, robot.effects), [])
 
 
-def _isaac(robot: RobotToDescribe) -> Whole:
+def _isaac(robot: RobotToDescribe) -> DescriptionFiles:
     attributes = joint_attributes(robot.effects, "joint")
     joints = {
         joint: {isaac: float(f"{values[ours]:.6g}") for isaac, ours in _ISAAC_JOINT.items() if ours in values}
         for joint, values in attributes.items()
     }
     text = with_effects(robot.urdf, robot.effects)
-    return Whole(text, [f"{_ISAAC_FILE}: {json.dumps(joints)}"], {_ISAAC_FILE: json.dumps(joints, indent=2) + "\n"})
+    return DescriptionFiles(
+        text, [f"{_ISAAC_FILE}: {json.dumps(joints)}"], {_ISAAC_FILE: json.dumps(joints, indent=2) + "\n"}
+    )
 
 
-def _gazebo(robot: RobotToDescribe) -> Whole:
-    return Whole(for_gazebo(with_effects(robot.urdf, robot.effects), robot.effects), [])
+def _gazebo(robot: RobotToDescribe) -> DescriptionFiles:
+    return DescriptionFiles(for_gazebo(with_effects(robot.urdf, robot.effects), robot.effects), [])
 
 
-def _drake(robot: RobotToDescribe) -> Whole:
-    return Whole(for_drake(with_effects(robot.urdf, robot.effects), robot.effects, str(robot.path)), [])
+def _drake(robot: RobotToDescribe) -> DescriptionFiles:
+    return DescriptionFiles(for_drake(with_effects(robot.urdf, robot.effects), robot.effects, str(robot.path)), [])
 
 
-def _mujoco(robot: RobotToDescribe) -> Whole:
+def _mujoco(robot: RobotToDescribe) -> DescriptionFiles:
     # These imports take as long as all others, and only an MJCF needs them.
     from geomid_ros.files.models.mjcf import mjcf, mjcf_shapes  # noqa: PLC0415
     from geomid_ros.files.shapes import MeshFinder  # noqa: PLC0415
@@ -142,7 +144,7 @@ def _mujoco(robot: RobotToDescribe) -> Whole:
     missing = list(dict.fromkeys(shapes.missing))
     summary = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
     text = mjcf(robot.read(), {}, robot.effects, gravity=robot.gravity, shapes=shapes)
-    return Whole(text, [*missing[:_MOST_MISSING], *summary])
+    return DescriptionFiles(text, [*missing[:_MOST_MISSING], *summary])
 
 
 def as_described(model: Model, packages: Mapping[str, Path] = MappingProxyType({})) -> RobotToDescribe:

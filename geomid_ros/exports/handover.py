@@ -17,12 +17,12 @@ import numpy as np
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.exports.descriptions import DESCRIPTIONS, RobotToDescribe, Whole
-from geomid_ros.files.models.effects_file import coefficients_of, unsaid
+from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, RobotToDescribe
+from geomid_ros.files.models.effects_file import coefficients_of, unrepresentable
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.written_model import WrittenModel, written_model
-from geomid_ros.files.schema import entry
+from geomid_ros.files.schema import attributes_entry
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, Effect, MotionEffect, Place, effect_class
 from geomid_ros.model.effects.situation import pair_name, place_named
@@ -61,7 +61,7 @@ class ReadBack:
         used = set[str]()
         for cls in (effect for effect in EFFECTS.values() if issubclass(effect, MotionEffect)):
             places = {form.name: form.place_in(ELEMENTS[self.reader]) for form in cls.parameters}
-            sizes = {places[form.name] for form in cls.variants()[0].own if places[form.name]}
+            sizes = {places[form.name] for form in cls.grid()[0].own if places[form.name]}
             if not used & sizes:
                 used |= sizes
                 for name in {name for name, at in self.attributes if at in sizes}:
@@ -166,7 +166,7 @@ MUJOCO = "mujoco"
 
 
 @dataclass(frozen=True, eq=False)
-class HandedOver:
+class DescriptionTest:
     """Description file for a ``reader``.
 
     Attributes:
@@ -190,7 +190,7 @@ class HandedOver:
         return written_model(self.session.model, self.estimate, self.reader, self.session.loaded.effects)
 
     @cached_property
-    def _whole(self) -> Whole:
+    def _whole(self) -> DescriptionFiles:
         session = self.session
         urdf = with_inertias_of(session, self.estimate, self.model)
         robot = RobotToDescribe(
@@ -205,19 +205,19 @@ class HandedOver:
     @property
     def files(self) -> dict[str, str]:
         """Texts of the files by name: the description, and the files beside it."""
-        return {self.name: self._whole.text, **self._whole.beside}
+        return {self.name: self._whole.text, **self._whole.extra_files}
 
-    def judged(self, batches: Sequence[Samples], found: Mapping[str, float]) -> JudgedFile:
+    def judged(self, batches: Sequence[Samples], found: Mapping[str, float]) -> FileTest:
         """Test the file on samples. ``found``: residual RMS of the full estimate on them, by channel. Raises InputError
         if the program rejects the file."""
         effects = model_effects(self.estimate, self.session.loaded.effects)
         lacks = {
-            channel.name: unsaid(
+            channel.name: unrepresentable(
                 [own for own in effects if channel.name in own.joint.split("+")], ELEMENTS[self.reader]
             )
             for channel in self.session.model.channels
         }
-        return judge(
+        return evaluate_description(
             self.session, self.reader, self._whole, batches, found, errors=self._errors_of_sensors, lacks=lacks
         )
 
@@ -236,7 +236,7 @@ def file_name(reader: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedFile:
+class FileTest:
     """Residual RMS of a file on samples by channel [N m, N], NaN where nothing is measured.
 
     Attributes:
@@ -300,7 +300,7 @@ class JudgedFile:
     @property
     def entry(self) -> dict[str, object]:
         """Entry of ``estimate.json``."""
-        return {"file": self.name, "loaded_by": self.program, **entry(self, "alone", "corrected", "given")}
+        return {"file": self.name, "loaded_by": self.program, **attributes_entry(self, "alone", "corrected", "given")}
 
 
 _RECORD = (
@@ -311,15 +311,15 @@ _ADD = "add these to what it predicts, or record more motion, as they may be wei
 _ADVICE = "choose another format (--for), or record more motion of this joint"
 
 
-def judge(
+def evaluate_description(
     session: Session,
     reader: str,
-    whole: Whole,
+    whole: DescriptionFiles,
     batches: Sequence[Samples],
     found: Mapping[str, float],
     errors: FloatArray | None = None,
     lacks: Mapping[str, Sequence[str]] = MappingProxyType({}),
-) -> JudgedFile:
+) -> FileTest:
     """Test a description on samples, loaded by the program that reads it.
 
     Args:
@@ -338,7 +338,7 @@ def judge(
     if reader == MUJOCO:
         written = read_mjcf_back(whole.text, session.robot)
     else:
-        written = read_urdf_back(session.read_robot(whole.text, name), reader, whole.beside)
+        written = read_urdf_back(session.read_robot(whole.text, name), reader, whole.extra_files)
     given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
     model, none = session.model, np.zeros(session.model.dimension)
     kinds = (written, none), (written, none if errors is None else errors), (given, none)
@@ -350,6 +350,6 @@ def judge(
     channels = [channel.name for channel in model.channels]
     rms = session.rms(batches, parameters, added).T.tolist()
     alone, corrected, before = (dict(zip(channels, values, strict=True)) for values in rms)
-    return JudgedFile(
+    return FileTest(
         name=name, program=program, alone=alone, corrected=corrected, given=before, found=found, lacks=lacks
     )

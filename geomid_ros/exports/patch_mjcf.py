@@ -10,7 +10,7 @@ from xml.parsers.expat import ExpatError
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.descriptions import Whole, not_said
+from geomid_ros.exports.descriptions import DescriptionFiles, not_representable
 from geomid_ros.exports.model import Model
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import joint_attributes, payload_name
@@ -25,7 +25,7 @@ _FAR = 1e-3  # [m, rad] largest deviation between the axes of one joint
 
 
 @dataclass(frozen=True, eq=False)
-class OwnMjcf:
+class UserMjcf:
     """MJCF of the user that the numbers of a model are written into.
 
     Attributes:
@@ -58,22 +58,22 @@ class OwnMjcf:
             raise InputError(f"{self.path}: not valid XML ({error})") from error
 
 
-def into_mjcf(model: Model, path: Path) -> Whole:
+def patch_user_mjcf(model: Model, path: Path) -> DescriptionFiles:
     """Return the text of an MJCF with the inertias of the links and the effects at the joints of the model, by name;
-    see :func:`read_own_mjcf`."""
-    target = read_own_mjcf(model, path)
+    see :func:`read_user_mjcf`."""
+    target = read_user_mjcf(model, path)
     patched = target.with_numbers(model)
     links, attributes = model.estimated or model.bodies, joint_attributes(model.effects, "joint")
     sentences = [
-        *not_said(model, ("mjcf/joint", "mjcf/body")),
+        *not_representable(model, ("mjcf/joint", "mjcf/body")),
         *_named(f"{path}: has no body", [name for name in links if name not in target.placements]),
         *_named(f"{path}: has no joint", [name for name in attributes if name not in target.joints]),
         *_named("Counted in with others, so that they weigh nothing:", target.emptied),
     ]
-    return Whole(patched, sentences)
+    return DescriptionFiles(patched, sentences)
 
 
-def read_own_mjcf(model: Model, path: Path) -> OwnMjcf:
+def read_user_mjcf(model: Model, path: Path) -> UserMjcf:
     """Read an MJCF of the same robot as ``model``.
 
     The frames of its bodies need not be those of the URDF's links: inertias are transformed, with all joints at zero.
@@ -91,7 +91,7 @@ def read_own_mjcf(model: Model, path: Path) -> OwnMjcf:
     base = _base(model, frames, path)
     placed = {name: np.linalg.inv(frames.bodies[name]) @ base @ model.placements[name] for name in bodies}
     emptied = [link for name in bodies for link in model.bodies[name].merged if frames.masses.get(link)]
-    return OwnMjcf(path, text, placed, tuple(frames.joints), emptied)
+    return UserMjcf(path, text, placed, tuple(frames.joints), emptied)
 
 
 def _named(heading: str, names: Sequence[str]) -> list[str]:

@@ -20,11 +20,11 @@ from geomid_ros.estimation.suggested_motions import instants
 from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described, described_robot
 from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.model import Model, read_model
-from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
+from geomid_ros.exports.patch_mjcf import UserMjcf, read_user_mjcf
 from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effects_entries
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.posterior import SAME, beside, check_of, places_in, read_posterior
+from geomid_ros.files.models.posterior import SAME, check_matches_estimate, places_in, posterior_path, read_posterior
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
@@ -121,9 +121,11 @@ def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots
     model = read_model(path)
     if not model.estimated:
         raise InputError(f"{path}: no estimate.json, and so nothing is known of how sure its numbers are")
-    file = beside(path)
+    file = posterior_path(path)
     posterior = read_posterior(file)
-    check_of(posterior, file, {name: model.bodies[name].parameters for name in model.estimated}, model.source)
+    check_matches_estimate(
+        posterior, file, {name: model.bodies[name].parameters for name in model.estimated}, model.source
+    )
     drawn = posterior.draw(max(count, ENOUGH), np.random.default_rng(seed), spread)
     return DrawnRobots(model, posterior, drawn, count)
 
@@ -154,12 +156,12 @@ def _writer(model: Model, tool: str, into: Path | None, packages: Mapping[str, P
     if tool != "mujoco":
         return lambda drawn: DESCRIPTIONS[tool].whole(as_described(drawn, packages)).text
     if into is not None:
-        template = read_own_mjcf(model, into)
+        template = read_user_mjcf(model, into)
         return replace(template, text=_with_absolute_folders(template.text, into)).with_numbers
     text = DESCRIPTIONS[tool].whole(as_described(model, packages)).text
     placements = {name: np.eye(4) for name in model.estimated}
     joints = [joint.name for joint in model.tree.joints]
-    return OwnMjcf(model.urdf_path, text, placements, joints, ()).with_numbers
+    return UserMjcf(model.urdf_path, text, placements, joints, ()).with_numbers
 
 
 def _with_absolute_folders(text: str, path: Path) -> str:

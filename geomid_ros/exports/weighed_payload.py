@@ -48,7 +48,7 @@ class Payload:
         low, high = self.interval
         gain = f", an uncertain gain of {100.0 * self.weighed.gain:.3g} % included" if self.weighed.gain else ""
         mass = f"{self.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain}), at '{self.frame}'"
-        if not self.weighed.tells_moment_alone:
+        if not self.weighed.only_moment_identified:
             return mass
         moments = zip("xyz", self.weighed.moment, self.weighed.moment_std, strict=True)
         listed = ", ".join(f"m {axis} {value:.4g} ± {STDS_OF_95 * std:.2g}" for axis, value, std in moments)
@@ -86,7 +86,7 @@ class Payload:
         return CONTROLLERS[controller].commands(Export(f"payload at '{self.frame}'", self.frame, self.inertial))
 
 
-def weigh_at(
+def identify_payload_at(
     session: Session, empty: Sequence[Samples] | Posterior, loaded: Sequence[Samples], frame: str, gain: float = GAIN
 ) -> Payload:
     """Identify the payload at a link of the URDF.

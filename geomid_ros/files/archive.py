@@ -23,7 +23,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.schema import Stored, structured, triangle_of, upper_triangle
+from geomid_ros.files.schema import Stored, from_document, from_upper_triangle, triangle_of
 from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
 from geomid_ros.types import AnyArray, FloatArray
 
@@ -54,8 +54,8 @@ def decoded(kind: type[T], content: bytes, meaning: Mapping[str, Any]) -> T:
     if document.get("format") != FORMAT:
         raise InputError(f"has format {document.get('format')!r:.80}, this version reads format {FORMAT}")
     _require_meaning(document.get("meaning"), meaning)
-    meanings = structured(_Reasons, document, "its text:").meanings
-    return structured(kind, _with_meanings(document, meanings), "its text:")
+    meanings = from_document(_Reasons, document, "its text:").meanings
+    return from_document(kind, _with_meanings(document, meanings), "its text:")
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def unarchived(content: bytes) -> dict[str, Any]:
         if isinstance(name := entry.get("bytes"), str) and name in vectors:
             return Stored(vectors[name].tobytes())
         if isinstance(name := entry.get("array"), str) and name in vectors:
-            return Stored(_shaped(vectors[name], structured(_Reference, entry, "its text:")))
+            return Stored(_shaped(vectors[name], from_document(_Reference, entry, "its text:")))
         return entry
 
     return _parsed(text, restored)
@@ -135,7 +135,7 @@ def _shaped(vector: AnyArray, reference: _Reference) -> FloatArray:
     rows, columns = reference.shape
     if not 0 < rows <= columns or rows * columns - rows * (rows - 1) // 2 != len(vector):
         raise ValueError(f"{len(vector)} numbers are no triangle of shape {reference.shape}")
-    return upper_triangle(vector, reference.shape)
+    return from_upper_triangle(vector, reference.shape)
 
 
 def pack(text: str, vectors: Mapping[str, AnyArray]) -> bytes:
@@ -172,11 +172,11 @@ def unpack(content: bytes) -> tuple[str, dict[str, AnyArray]]:
         raise InputError("the header is longer than the file, or than is allowed")
     start, numbers = body[_LENGTH.size : _LENGTH.size + length], body[_LENGTH.size + length :]
     header = _parsed(start.decode("utf-8", errors="replace"))
-    text = structured(_Texts, header.pop(_TEXTS, None), "the header:").document
+    text = from_document(_Texts, header.pop(_TEXTS, None), "the header:").document
     header.pop(_CHECKSUM, None)
     vectors, end = {}, 0
     for name, entry in header.items():
-        tensor = structured(_Tensor, entry, f"the header: {name}")
+        tensor = from_document(_Tensor, entry, f"the header: {name}")
         size = math.prod(tensor.shape)
         begin, end = end, end + _DTYPES[tensor.dtype].itemsize * size
         if tensor != _Tensor(tensor.dtype, (size,), (begin, end)) or end > len(numbers):

@@ -69,7 +69,7 @@ def check_form(document: Any, keys: tuple[str, ...], where: str, what: str) -> N
         raise InputError(f"{where} has format {document.get('format')!r:.80}, this version reads format {FORMAT}")
 
 
-def structured(kind: type[T], value: Any, where: str) -> T:
+def from_document(kind: type[T], value: Any, where: str) -> T:
     """Convert a value of a document to a dataclass.
 
     Args:
@@ -184,10 +184,10 @@ def unpacked(text: str, form: str, count: int) -> FloatArray:
 
 def unpacked_triangle(text: str, form: str, size: int) -> FloatArray:
     """Decode an upper triangular matrix ``(size, size)``, stored row by row, from such a text. Raises ValueError."""
-    return upper_triangle(unpacked(text, form, size * (size + 1) // 2), (size, size))
+    return from_upper_triangle(unpacked(text, form, size * (size + 1) // 2), (size, size))
 
 
-def upper_triangle(numbers: AnyArray, shape: tuple[int, ...]) -> FloatArray:
+def from_upper_triangle(numbers: AnyArray, shape: tuple[int, ...]) -> FloatArray:
     """Matrix with these numbers in its upper triangle, row by row. No file can claim a large one without them."""
     matrix = np.zeros(shape)
     matrix[triangle_of(shape)] = numbers
@@ -207,19 +207,19 @@ def _wrong(value: Any, where: str, expected: str) -> InputError:
     return InputError(f"{where} is {reprlib.repr(value)}, expected {expected}")
 
 
-def plain(value: Any) -> Any:
+def to_document(value: Any) -> Any:
     """Convert a value for a document: a dataclass to its fields, an array to its numbers."""
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return to_document(value.tolist())
     if is_dataclass(value):
-        return entry(value, *(item.name for item in fields(value)))
+        return attributes_entry(value, *(item.name for item in fields(value)))
     if isinstance(value, Mapping):
-        return {name: plain(item) for name, item in value.items()}
-    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+        return {name: to_document(item) for name, item in value.items()}
+    return [to_document(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-def entry(value: Any, *names: str) -> dict[str, Any]:
+def attributes_entry(value: Any, *names: str) -> dict[str, Any]:
     """Convert these attributes of a value for a document."""
-    return {name: plain(getattr(value, name)) for name in names}
+    return {name: to_document(getattr(value, name)) for name in names}

@@ -19,7 +19,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.files.schema import structured
+from geomid_ros.files.schema import from_document
 from geomid_ros.fleet.kept import SUFFIX, RobotResults, Store
 from geomid_ros.fleet.recordings import FleetBag
 from geomid_ros.fleet.work import BagOutcome, FleetPlan, solve_robot, summarise_bag
@@ -226,7 +226,7 @@ class Fleet:
     def _outcome(self, name: str) -> BagOutcome | None:
         """Stored outcome of a bag; None if it cannot be read."""
         try:
-            return structured(BagOutcome, json.loads(self._store.get(name) or b""), f"{self._store.url}/{name}:")
+            return from_document(BagOutcome, json.loads(self._store.get(name) or b""), f"{self._store.url}/{name}:")
         except (InputError, ValueError, RecursionError):
             return None
 

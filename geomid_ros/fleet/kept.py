@@ -23,7 +23,7 @@ from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.archive import archived, decoded, encoded, unarchived
 from geomid_ros.files.disk import write_bytes
 from geomid_ros.files.models.estimate_file import EstimateFile
-from geomid_ros.files.schema import structured
+from geomid_ros.files.schema import from_document
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
@@ -220,7 +220,7 @@ class RobotResults:
     def decoded(content: bytes) -> RobotResults:
         """Decode such a file. Raises InputError if it is invalid."""
         try:
-            return structured(RobotResults, unarchived(content), "its text:")
+            return from_document(RobotResults, unarchived(content), "its text:")
         except InputError as error:
             raise InputError(f"the stored result of a robot cannot be read ({error})") from error
 

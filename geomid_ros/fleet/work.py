@@ -18,7 +18,7 @@ from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.archive import FORMAT
 from geomid_ros.files.models.readers import READERS
-from geomid_ros.files.schema import plain, structured
+from geomid_ros.files.schema import from_document, to_document
 from geomid_ros.fleet.kept import SUFFIX, BagSummary, RobotResults, Store, summarise, total
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
 from geomid_ros.session.configuration import Configuration
@@ -107,7 +107,7 @@ def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
         outcome = BagOutcome(
             doubts=tuple(finding.sentence for finding in summary.recorded.findings), locked=summary.locked
         )
-    store.put(f"{name}.json", json.dumps(plain(outcome)).encode())
+    store.put(f"{name}.json", json.dumps(to_document(outcome)).encode())
     return outcome
 
 
@@ -180,7 +180,7 @@ def _plan(store: Store, name: str) -> FleetPlan:
             f"{store.url}: a worker does not see this folder; --out must be on a disk that all workers share, or "
             "--keep a URL that they reach"
         )
-    plan = structured(FleetPlan, json.loads(content), f"{store.url}/{name}:")
+    plan = from_document(FleetPlan, json.loads(content), f"{store.url}/{name}:")
     if plan.version != installed_version():
         installed = installed_version()
         raise InputError(f"a worker has geomid_ros {installed}, not {plan.version}: install the same everywhere")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, NamesFit, NamesPrior, NamesSearch
-from geomid_ros.gap.evidence.features import StandingRemainder
+from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, EffectsFit, EffectsPrior, EffectsSearch
+from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records, TotalModel
@@ -31,22 +31,22 @@ _WHITENINGS = 4  # rounds that whiten by the noise of the last remainder
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Analysis:
-    """Result of the search: the last ``problem`` and ``search``; the fit with the named effects (``names``) and the one
-    without (``bare``); the evidence that ``supports`` each likely name; each channel's noise std, ``floor (C,)``, from
+    """Result of the search: the last ``problem`` and ``search``; the fit with the named ``effects`` and the one without
+    (``bare``); the evidence that ``supports`` each likely name; each channel's noise std, ``floor (C,)``, from
     repeats of a motion if any; ``contested``: the odds that a link other than the named one has changed."""
 
     problem: LinearisedProblem
-    search: NamesSearch
-    bare: NamesFit
-    names: NamesFit
+    search: EffectsSearch
+    bare: EffectsFit
+    effects: EffectsFit
     supports: dict[Candidate, Support[Candidate]]
     floor: FloatArray
     contested: float = 0.0
 
     @property
-    def likely(self) -> NamesFit:
+    def likely(self) -> EffectsFit:
         """Fit with only the likely named effects."""
-        return self.search.without(self.names, *(c for c in self.names.chosen if c not in self.supports))
+        return self.search.without(self.effects, *(c for c in self.effects.chosen if c not in self.supports))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class _Task:
     tried: Sequence[Candidate]
     links: Sequence[int]
     inner: Collection[int]
-    standing: StandingRemainder | None
+    standing: KnownRemainder | None
     progress: Callable[[str, float], None]
 
     def linearised(self, total: TotalModel, floor: FloatArray | None = None) -> LinearisedProblem:
@@ -71,9 +71,9 @@ class _Task:
 def analyse(
     model: MeasurementModel,
     records: Records,
-    prior: NamesPrior,
+    prior: EffectsPrior,
     progress: Callable[[str, float], None],
-    standing: StandingRemainder | None = None,
+    standing: KnownRemainder | None = None,
 ) -> Analysis:
     """Find the set of named effects that explains the records best, and the changed links given these.
 
@@ -96,7 +96,7 @@ def _identifiable(candidates: Sequence[Candidate], moving: BoolArray) -> list[Ca
     return [c for c in candidates if np.count_nonzero(np.all(moving[:, joints_of(c.place)], axis=1)) >= FEWEST_ROWS]
 
 
-def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:
+def known_remainder(model: MeasurementModel, records: Records, prior: EffectsPrior) -> KnownRemainder:
     """Return the remainder of the model that the ``prior`` describes, on records, with its parameters unchanged; it is
     not known for channels without rows."""
     prior_fit = unfitted(prior)
@@ -105,11 +105,11 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
     residual = problem.residual(problem.columns((), prior.terms), prior_fit)
     near: list[FloatArray] | None = None
     for _ in range(_WHITENINGS):
-        near, lacks = problem.lacks(residual, problem.told, noise, near)
-        noise_residual = residual - mean_of(problem.told, lacks)
+        near, lacks = problem.fit_remainders(residual, problem.usable_features, noise, near)
+        noise_residual = residual - mean_of(problem.usable_features, lacks)
         noise = _noise(noise_residual, problem.valid, records)
         problem = problem.with_floor(_typical_size(noise_residual, problem.valid))
-    return StandingRemainder(
+    return KnownRemainder(
         joints=tuple(model.robot.joint_names),
         channels=tuple(channel.name for channel in model.channels),
         basis=problem.basis,
@@ -123,11 +123,11 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     with other recordings loosens all links at once; or it is explained by a payload, which cannot be negative, or by
     other effects that mimic a lighter link. So each link is tried with effects found given its change. All links that
     explain it about as well are searched to the end. A link with a payload is changed by that, unless it is lighter."""
-    search, names = analysis.search, analysis.names
+    search, names = analysis.search, analysis.effects
     if search.prior.known is None:
         return analysis
     threshold = names.score + 2.0 * np.log(ODDS)
-    trials = list[tuple[NamesPrior, float, bool]]()
+    trials = list[tuple[EffectsPrior, float, bool]]()
     for link in task.links:
         prior = search.prior.with_changed(link)
         selection = Selection(search.design, prior, task.tried)
@@ -139,9 +139,9 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     if least > threshold or not priors:
         return analysis
 
-    def with_changed(prior: NamesPrior) -> tuple[float, Analysis]:
+    def with_changed(prior: EffectsPrior) -> tuple[float, Analysis]:
         changed = _searched(task, prior, "searching with a link changed")
-        return fit(search.design, prior, changed.names.chosen, changed.names).score, changed
+        return fit(search.design, prior, changed.effects.chosen, changed.effects).score, changed
 
     (score, changed), *others = sorted(map(with_changed, priors), key=lambda scored: scored[0])
     contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
@@ -155,7 +155,7 @@ def _ends(model: MeasurementModel, links: Sequence[int]) -> set[int]:
     return {link for link in links if names[link] not in supporting}
 
 
-def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
+def _searched(task: _Task, prior: EffectsPrior, stage: str) -> Analysis:
     """Search the named effects until the total model settles; return them with the evidence for each."""
     last = _last_round(task, prior, stage)
     supports = _supports(last.search, last.found, task.inner)
@@ -166,18 +166,18 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     rows = np.where(design.counts > 0.0, design.counts, np.nan)
     remainder_parameters = np.array([lack.freedom for lack in names.remainders(design)])
     freedom = np.maximum(rows - names.parameters_by_channel(design) - remainder_parameters, 1.0) / rows
-    noise, _ = problem.told_floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom))
+    noise, _ = problem.identifiable_floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom))
     return Analysis(
         problem=problem,
         search=search,
         bare=search.fit([]),
-        names=names,
+        effects=names,
         supports=supports,
         floor=noise_by_repeats(task.model, task.records).floor(noise),
     )
 
 
-def _supports(search: NamesSearch, names: NamesFit, inner: Collection[int]) -> dict[Candidate, Support[Candidate]]:
+def _supports(search: EffectsSearch, names: EffectsFit, inner: Collection[int]) -> dict[Candidate, Support[Candidate]]:
     """Evidence for each named effect that is more likely than nothing in its place. For a payload on an ``inner`` link,
     an error of the link is as likely. The others are not reported, but stay in the fit: the remainder would else
     contain what they explain, and all other effects would be doubted for it."""
@@ -196,16 +196,16 @@ class _Round:
 
     problem: LinearisedProblem
     columns: Columns
-    search: NamesSearch
-    found: NamesFit
+    search: EffectsSearch
+    found: EffectsFit
 
 
-def _last_round(task: _Task, prior: NamesPrior, stage: str) -> _Round:
+def _last_round(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
     """Alternate search and linearisation until the total model settles. One that does not is fitted along the result of
     the last search, in the noise of that: this search may have dropped effects that the linearisation used."""
     noise, total = _beginning(task, prior)
     floor: FloatArray | None = None
-    previous: NamesFit | None = None
+    previous: EffectsFit | None = None
     settling, variances = False, tuple[FloatArray, ...]()
     rounds: list[_Round] = []
     for attempt in range(_ROUNDS + _REFITS):
@@ -224,26 +224,26 @@ def _last_round(task: _Task, prior: NamesPrior, stage: str) -> _Round:
         if attempt < _ROUNDS - 1:
             residual = problem.residual(rounds[-1].columns, names)
             residual -= problem.remainder(rounds[-1].search.design, names)
-            floor, determined = problem.told_floor(_typical_size(residual, problem.valid))
+            floor, determined = problem.identifiable_floor(_typical_size(residual, problem.valid))
             pairs = zip(determined.tolist(), _noise(residual, problem.valid, task.records), noise, strict=True)
             noise = tuple(latest if is_determined else earlier for is_determined, latest, earlier in pairs)
     return rounds[-1]
 
 
-def _beginning(task: _Task, prior: NamesPrior) -> tuple[tuple[Autoregression, ...], TotalModel]:
+def _beginning(task: _Task, prior: EffectsPrior) -> tuple[tuple[Autoregression, ...], TotalModel]:
     """Initial noise, and the total model without named effects."""
     problem = task.linearised(total_model(task.model, unfitted(prior)))
     columns = problem.columns(task.tried, prior.terms)
-    bare: NamesFit = fit(problem.design(columns, (Autoregression.white(),) * len(task.model.channels)), prior, ())
+    bare: EffectsFit = fit(problem.design(columns, (Autoregression.white(),) * len(task.model.channels)), prior, ())
     return _flexible_noise(problem, columns, bare, problem.valid), total_model(task.model, bare)
 
 
 def _round(
     task: _Task,
-    prior: NamesPrior,
+    prior: EffectsPrior,
     problem: LinearisedProblem,
     noise: tuple[Autoregression, ...],
-    before: NamesFit | None,
+    before: EffectsFit | None,
     *,
     variances: Sequence[FloatArray],
     attempt: int,
@@ -259,7 +259,7 @@ def _round(
     searches = is_last or (attempt < _ROUNDS and _near(total_model(task.model, names), problem.total))
     if searches:  # the remainder must not absorb effects that are not named yet: they would never be found
         names = search.grow(names, to_the_end=is_last)
-    search = Selection(names.settled(design), prior, task.tried)
+    search = Selection(names.with_fitted_remainder(design), prior, task.tried)
     names = search.within_range(search.fit(names.chosen, names))
     if searches:
         names = search.settle(names) if settling else search.grow(names, to_the_end=is_last)
@@ -271,13 +271,13 @@ def _near(current: TotalModel, linearised_at: TotalModel) -> bool:
     before = {(effect, place): coefficients for effect, place, coefficients in linearised_at.effects}
     after = {(effect, place): coefficients for effect, place, coefficients in current.effects}
     return all(
-        bool(np.all(np.abs(after.get(key, 0.0) - before.get(key, np.zeros(1))) < key[0].far))
+        bool(np.all(np.abs(after.get(key, 0.0) - before.get(key, np.zeros(1))) < key[0].relinearise_beyond))
         for key in {**before, **after}
-        if key[0].far
+        if key[0].relinearise_beyond
     )
 
 
-def _same(previous: NamesFit | None, current: NamesFit) -> bool:
+def _same(previous: EffectsFit | None, current: EffectsFit) -> bool:
     """True if the result equals that of the previous round, up to a fraction of the standard deviations."""
     if previous is None or {c.group for c in previous.chosen} != {c.group for c in current.chosen}:
         return False
@@ -289,7 +289,7 @@ def _same(previous: NamesFit | None, current: NamesFit) -> bool:
 
 
 def _flexible_noise(
-    problem: LinearisedProblem, columns: Columns, bare: NamesFit, valid: BoolArray
+    problem: LinearisedProblem, columns: Columns, bare: EffectsFit, valid: BoolArray
 ) -> tuple[Autoregression, ...]:
     """Initial noise: the part of the residual outside the span of each channel's columns.
 

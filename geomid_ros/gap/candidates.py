@@ -44,7 +44,7 @@ def library_columns(model: MeasurementModel) -> tuple[Column, ...]:
     columns = [
         column_of(effect, place)
         for cls in EFFECTS.values()
-        for effect in cls.variants()
+        for effect in cls.grid()
         if isinstance(effect, MotionEffect)
         for place in model.places.of(effect)
     ]
@@ -110,13 +110,15 @@ class Candidate:
     @cached_property
     def cost(self) -> float:
         """Minus twice the log of the prior odds for its value of the constant."""
-        constants = 1 if self.known else len(self.effect.variants())
+        constants = 1 if self.known else len(self.effect.grid())
         return -2.0 * float(np.log(self.odds / constants))
 
     @cached_property
-    def usual(self) -> tuple[float, ...]:
+    def prior_std(self) -> tuple[float, ...]:
         """Prior stds of the coefficients about their known values; 0 for a fraction of the measurement."""
-        return tuple(term.effect.usual[term.index] if term.effect.usual else 0.0 for term in self.terms)
+        return tuple(
+            term.effect.default_prior_std[term.index] if term.effect.default_prior_std else 0.0 for term in self.terms
+        )
 
     @property
     def rescales(self) -> bool:
@@ -126,16 +128,16 @@ class Candidate:
     @property
     def confusable_with_payload(self) -> bool:
         """True if a payload may be found in its place."""
-        return self.effect.like_a_payload
+        return self.effect.confusable_with_payload
 
     @property
     def relinearises(self) -> bool:
         """True if all other columns depend on its size."""
-        return bool(self.effect.far)
+        return bool(self.effect.relinearise_beyond)
 
     def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if no working robot has it with these ``coefficients (k,)``."""
-        return self.effect.is_absurd(coefficients)
+        return self.effect.is_out_of_range(coefficients)
 
     @property
     def name(self) -> str:
@@ -165,9 +167,9 @@ class Candidate:
         return self.name, self.place
 
 
-NamesFit: TypeAlias = JointFit[Candidate, EffectTerm]
-NamesPrior: TypeAlias = Prior[EffectTerm]
-NamesSearch: TypeAlias = Selection[Candidate, EffectTerm]
+EffectsFit: TypeAlias = JointFit[Candidate, EffectTerm]
+EffectsPrior: TypeAlias = Prior[EffectTerm]
+EffectsSearch: TypeAlias = Selection[Candidate, EffectTerm]
 
 
 def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, bare: bool = True) -> list[Candidate]:
@@ -180,7 +182,7 @@ def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, b
     result += [
         Candidate.of(effect, place, ordinary=bare and effect.name in DEFAULT_EFFECTS)
         for cls in EFFECTS.values()
-        for effect in cls.variants()
+        for effect in cls.grid()
         for place in model.places.of(effect)
         if (effect.name, place) not in has
     ]
@@ -189,7 +191,7 @@ def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, b
     return sorted(result, key=_order)
 
 
-def not_driving(terms: Sequence[EffectTerm], values: FloatArray) -> FloatArray:
+def passivity_constraints(terms: Sequence[EffectTerm], values: FloatArray) -> FloatArray:
     """Return passivity constraints that fix a place's sum of dry friction at zero where it is negative.
 
     Dry friction does not drive a joint, close to standstill either. Rows near a reversal constrain it weakly, and

@@ -168,7 +168,7 @@ class GapErrors:
 
 
 @dataclass(frozen=True)
-class Located:
+class ResidualDependence:
     """Fraction of a channel's first remainder, 0 to 1, that a smooth curve of each variable explains."""
 
     channel: str
@@ -231,7 +231,7 @@ class GapResult:
     cutoff: float
     gap: GapErrors
     moving: FloatArray
-    located: tuple[Located, ...]
+    located: tuple[ResidualDependence, ...]
     ranking: tuple[Ranked, ...]
     trace: Trace
     bodies: tuple[str, ...]

@@ -11,10 +11,10 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.fit import CERTAINTY
-from geomid_ros.estimation.starting_point import USUAL_SPREAD
-from geomid_ros.gap.analysis import analyse, standing_remainder
-from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
-from geomid_ros.gap.evidence.features import StandingRemainder
+from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
+from geomid_ros.gap.analysis import analyse, known_remainder
+from geomid_ros.gap.candidates import Candidate, EffectsPrior, EffectTerm, passivity_constraints
+from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records
 from geomid_ros.gap.judgement.held_out import HeldOut, located
@@ -50,9 +50,9 @@ def find_gap(
     alike: Sequence[AlikeParts] = (),
     nominal: FloatArray | None = None,
     deviations: FloatArray | None = None,
-    known: OtherRecordings | None = None,
-    beside: Sequence[KnownEffect] = (),
-    standing: StandingRemainder | None = None,
+    previous: OtherRecordings | None = None,
+    other_effects: Sequence[KnownEffect] = (),
+    known_remainder: KnownRemainder | None = None,
     simulated: Sequence[Samples] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> GapResult:
@@ -75,11 +75,11 @@ def find_gap(
         alike: links that have most of their errors in the URDF in common, if the model has the URDF's inertias.
         nominal: the model's parameters ``(D,)``, NaN where they are not known: those of an ``estimate.json``. The
             URDF's inertias and no effects unless given.
-        deviations: their standard deviations ``(D,)`` where ``known`` does not give them, NaN where they are not known.
-        known: information of other recordings than ``train``, from which they were identified, on the links, or on
+        deviations: their standard deviations ``(D,)`` where ``previous`` does not give them, NaN where not known.
+        previous: information of other recordings than ``train``, from which they were identified, on the links, or on
             these and all of the model's coefficients.
-        beside: the model's effects that are not coefficients, because they depend on its prediction of a motion.
-        standing: the model's remainder there, see :func:`lacking`; it does not count as a change.
+        other_effects: the model's effects that are not coefficients, because they depend on its prediction of a motion.
+        known_remainder: the model's remainder there, see :func:`remainder_of_model`; it does not count as a change.
         simulated: recordings of the user's simulator under the same commands, in the same form; what they show as well
             as ``train`` is no gap.
         progress: called with the present stage and the finished fraction, 0 to 1.
@@ -98,17 +98,17 @@ def find_gap(
     unseen = Records.make(held_out or train, cutoff)
     _check(bare, records)
     _check_held_out(bare, unseen)
-    prior = replace(_prior(model, nominal, deviations, known), alike=alike)
-    prior, other_effects = _with_other_effects(bare, records, prior, beside)
+    prior = replace(_prior(model, nominal, deviations, previous), alike=alike)
+    prior, placed_effects = _with_other_effects(bare, records, prior, other_effects)
     prior = _with_least_stds(bare, records, prior)
     if simulated:
-        prior, standing = _as_simulated(bare, Records.make(simulated, cutoff), prior, report), None
-    analysis = analyse(bare, records, prior, report, standing)
+        prior, known_remainder = _as_simulated(bare, Records.make(simulated, cutoff), prior, report), None
+    analysis = analyse(bare, records, prior, report, known_remainder)
     report("judging", 0.0)
     links = changed_links(bare, analysis)
     named = findings(bare, analysis)
     result = written(bare, records, analysis, named, links)
-    files = HeldOut(bare, unseen, replace(analysis, names=result.found))
+    files = HeldOut(bare, unseen, replace(analysis, effects=result.found))
     # The inertias of a URDF are wrong on any robot; those of an identified or simulated model are not.
     is_named = bool(result.findings or (result.links and (prior.identified or simulated)))
     report("judging", 1.0)
@@ -138,7 +138,7 @@ def find_gap(
         bodies=bare.body_names,
         inertias=result.inertias,
         coefficients=_coefficients(model, prior, named_terms),
-        beside=tuple(known for candidate, known in other_effects if not named_terms.issuperset(candidate.terms)),
+        beside=tuple(known for candidate, known in placed_effects if not named_terms.issuperset(candidate.terms)),
         ordinary=result.ordinary,
         folded=after,
         newly_folded={key: change for key, change in changes.items() if key[0] in sure_joints},
@@ -146,13 +146,13 @@ def find_gap(
     )
 
 
-def lacking(
+def remainder_of_model(
     model: MeasurementModel,
     train: Sequence[Samples],
     cutoff: float,
     nominal: FloatArray | None,
     beside: Sequence[KnownEffect],
-) -> StandingRemainder | None:
+) -> KnownRemainder | None:
     """Return the remainder of an identified model on its training data; elsewhere the same remainder is no change.
 
     Args:
@@ -171,11 +171,11 @@ def lacking(
     except InputError:
         return None
     prior, _ = _with_other_effects(bare, records, _prior(model, nominal), beside)
-    remainder = standing_remainder(bare, records, prior)
+    remainder = known_remainder(bare, records, prior)
     return remainder if any(map(len, remainder.means)) else None
 
 
-def left_by_model(
+def residual_rms(
     model: MeasurementModel,
     samples: Sequence[Samples],
     cutoff: float,
@@ -236,7 +236,7 @@ def _prior(
     nominal: FloatArray | None,
     deviations: FloatArray | None = None,
     known: OtherRecordings | None = None,
-) -> NamesPrior:
+) -> EffectsPrior:
     size, unknown = len(model.nominal_inertias), np.full(model.dimension, np.nan)
     values = unknown if nominal is None else nominal
     stds = np.nan_to_num((unknown if deviations is None else deviations)[size:])
@@ -251,14 +251,14 @@ def _prior(
     identified = bool(np.any(np.isfinite(values[:size])))
     return Prior(
         inertias=inertias,
-        spread=_SPREAD_OF_IDENTIFIED if identified else USUAL_SPREAD,
+        prior_std=_SPREAD_OF_IDENTIFIED if identified else DEFAULT_PRIOR_STD,
         terms=terms,
         values=strengths,
-        spreads=np.maximum(changes, stds[present]),
+        prior_stds=np.maximum(changes, stds[present]),
         certainty=_CERTAINTY_OF_IDENTIFIED if identified else CERTAINTY,
         identified=identified,
         known=known if identified else None,
-        held=not_driving,
+        constraints=passivity_constraints,
     )
 
 
@@ -268,13 +268,13 @@ def _term(coefficient: Coefficient) -> EffectTerm:
 
 
 def _with_other_effects(
-    model: MeasurementModel, records: Records, prior: NamesPrior, others: Sequence[KnownEffect]
-) -> tuple[NamesPrior, list[tuple[Candidate, KnownEffect]]]:
+    model: MeasurementModel, records: Records, prior: EffectsPrior, others: Sequence[KnownEffect]
+) -> tuple[EffectsPrior, list[tuple[Candidate, KnownEffect]]]:
     """Return the prior with these effects in addition to the coefficients, and each effect with its candidate."""
     if not others:
         return prior, []
     situation = LinearisedProblem(model, records, total_model(model, unfitted(prior))).situation
-    candidates, values, spreads = [], list(prior.values), list(prior.spreads)
+    candidates, values, spreads = [], list(prior.values), list(prior.prior_stds)
     for effect in others:
         cls, numbers = effect_class(effect.effect), values_of(effect)
         place = model.places.named(cls(), effect.joint)
@@ -285,7 +285,7 @@ def _with_other_effects(
         values += sizes
         spreads += [max(_SPREAD_OF_EFFECTS, _relative_std(candidate, effect)) * abs(value) for value in sizes]
     terms = chain.from_iterable(candidate.terms for candidate, _ in candidates)
-    extended = replace(prior, terms=(*prior.terms, *terms), values=np.array(values), spreads=np.array(spreads))
+    extended = replace(prior, terms=(*prior.terms, *terms), values=np.array(values), prior_stds=np.array(spreads))
     return extended, candidates
 
 
@@ -297,7 +297,7 @@ def _relative_std(candidate: Candidate, known_effect: KnownEffect) -> float:
     return max((effect.within_motion(size) / abs(size.value) for size in known_sizes), default=0.0)
 
 
-def _with_least_stds(model: MeasurementModel, records: Records, prior: NamesPrior) -> NamesPrior:
+def _with_least_stds(model: MeasurementModel, records: Records, prior: EffectsPrior) -> EffectsPrior:
     """Let coefficients change by a small fraction of the measurement, unless they are larger than that. Next to a
     spring, an offset near zero is known no better than the spring's rest. Changes of larger ones must be named."""
     problem = LinearisedProblem(model, records, total_model(model, unfitted(prior)))
@@ -307,22 +307,24 @@ def _with_least_stds(model: MeasurementModel, records: Records, prior: NamesPrio
     known = prior.known
     if known is not None:
         known = replace(known, changes=np.maximum(known.changes, least[: len(known.changes)]))
-    return replace(prior, spreads=np.maximum(prior.spreads, least), known=known)
+    return replace(prior, prior_stds=np.maximum(prior.prior_stds, least), known=known)
 
 
 def _as_simulated(
-    model: MeasurementModel, records: Records, prior: NamesPrior, report: Callable[[str, float], None]
-) -> NamesPrior:
+    model: MeasurementModel, records: Records, prior: EffectsPrior, report: Callable[[str, float], None]
+) -> EffectsPrior:
     """Return the prior of the user's simulator: its inertias with payloads, and its effects, instead of the model's."""
     _check(model, records)
     likely = analyse(model, records, prior.by_itself, report).likely
     inertias = total_model(model, likely).inertias[list(model.identified)].ravel()
     values = np.array([likely.value(term) for term in likely.terms])
     spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(values), _LEAST_SPREAD)
-    return replace(prior, inertias=inertias, terms=likely.terms, values=values, spreads=spreads, known=None, alike=())
+    return replace(
+        prior, inertias=inertias, terms=likely.terms, values=values, prior_stds=spreads, known=None, alike=()
+    )
 
 
-def _coefficients(model: MeasurementModel, prior: NamesPrior, named_terms: Collection[EffectTerm]) -> FloatArray:
+def _coefficients(model: MeasurementModel, prior: EffectsPrior, named_terms: Collection[EffectTerm]) -> FloatArray:
     """The model's coefficients as given ``(coefficients,)``; NaN where absent or in ``named_terms``."""
     terms = [_term(coefficient) for coefficient in model.coefficients]
     is_kept = [term in prior.terms and term not in named_terms for term in terms]

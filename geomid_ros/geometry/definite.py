@@ -31,14 +31,14 @@ class Packed:
         return Packed(len(matrix), places, lower[places])
 
     @property
-    def whole(self) -> FloatArray:
+    def full(self) -> FloatArray:
         """Full matrix ``(size, size)``."""
         lower = np.zeros((self.size, self.size))
         lower.flat[self.places] = self.values
         return lower + np.tril(lower, -1).T
 
 
-def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve ``matrix (n, n) x = right (n, ...)``. Raises LinAlgError if the matrix is not positive definite."""
     if right.ndim == 1:
         return damped_step(matrix, -right, 0.0)[0]
@@ -60,11 +60,11 @@ def damped_step(matrix: FloatArray, gradient: FloatArray, damping: float) -> tup
     return np.asarray(-root @ y), float(np.sum((root.T @ (root @ y)) ** 2))
 
 
-def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def solve_or_least_squares(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve ``matrix (n, n) x = right (n,)``; by least squares with the least norm if rounding leaves the matrix not
     quite positive definite."""
     try:
-        return solved(matrix, right)
+        return solve(matrix, right)
     except LinAlgError:
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 

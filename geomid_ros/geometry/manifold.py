@@ -220,7 +220,7 @@ class ParameterManifold:
         """Return coordinates ``(N, D)`` of rows ``(N, D)`` at ``base``; their norm is the rows' dual norm there."""
         return self.by_blocks(rows, *self.jacobian(base))
 
-    def off(self, base: Point, point: Point) -> FloatArray:
+    def offset(self, base: Point, point: Point) -> FloatArray:
         """Return the offset ``(D,)`` of ``point`` from ``base``: links' tangent coordinates along the straight line,
         and the differences of the coefficients.
 
@@ -233,11 +233,11 @@ class ParameterManifold:
         )
 
     def rows_off(self, base: Point, rows: FloatArray) -> FloatArray:
-        """Convert rows ``(N, D)`` of the parameters to rows of :meth:`off`."""
+        """Convert rows ``(N, D)`` of the parameters to rows of :meth:`offset`."""
         return self.by_blocks(rows, base.links_jacobian, np.ones(self.dimension - self.inertial.stop))
 
     def whiten_off(self, base: Point, point: Point, rows: FloatArray) -> FloatArray:
-        """Apply :meth:`whiten` at ``point`` to rows of :meth:`off`."""
+        """Apply :meth:`whiten` at ``point`` to rows of :meth:`offset`."""
         return self.by_blocks(rows, base.to_tangent @ symmetric.congruence(point.root), self.jacobian(point)[1])
 
     def by_blocks(self, rows: FloatArray, blocks: FloatArray, diagonal: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 BLOCKS = 8  # of time; their scatter shows how dependent the rows are
 _LEAST_SIZE = 1e-4  # mean square of whitened features: those that hardly occur are not scaled up
-USUAL_SHARE = 0.3
+DEFAULT_FRACTION = 0.3
 """Prior standard deviation of a coefficient, as a fraction of the measurement, where nothing else is known of it."""
 
 
@@ -26,8 +26,8 @@ class ChannelRows:
     """Whitened rows of a channel: ``columns (N, K + 1)``, the target last, and ``features (N, m)`` of the remainder in
     their ``block (m,)``. These are ``scale (m,)`` times the given ones: a draw of a block with variance 1 has a mean
     square of 1. ``place`` and ``links (D,)`` are the indices of the terms and of the inertial columns of all channels,
-    -1 if absent. Given other recordings, the features' coefficients have the covariance ``before``, see
-    :class:`Remainder`, and the mean ``expected (m,)``, which is taken off the target."""
+    -1 if absent. Given other recordings, the features' coefficients have the covariance ``prior_covariance``, see
+    :class:`Remainder`, and the mean ``prior_mean (m,)``, which is taken off the target."""
 
     columns: FloatArray
     features: FloatArray
@@ -35,8 +35,8 @@ class ChannelRows:
     block: IntArray
     place: Mapping[Any, int]
     links: IntArray
-    before: FloatArray | None = None
-    expected: FloatArray | None = None
+    prior_covariance: FloatArray | None = None
+    prior_mean: FloatArray | None = None
 
     @staticmethod
     def of(
@@ -58,8 +58,8 @@ class ChannelRows:
             block,
             place,
             links=links,
-            before=None if before is None else before / np.outer(scale, scale),
-            expected=None if expected is None else expected / scale,
+            prior_covariance=None if before is None else before / np.outer(scale, scale),
+            prior_mean=None if expected is None else expected / scale,
         )
 
     @property
@@ -73,7 +73,7 @@ class ChannelRows:
         return np.pad(self.columns.T @ self.columns, ((0, 1), (0, 1)))
 
     @cached_property
-    def there(self) -> BoolArray:
+    def present(self) -> BoolArray:
         """True for the columns ``(K + 2,)`` that affect the channel."""
         return np.asarray(np.diag(self.products) > 0.0)
 
@@ -81,7 +81,7 @@ class ChannelRows:
     def remainder(self) -> Remainder:
         """Products with the features."""
         crossed = np.pad(self.features.T @ self.columns, ((0, 0), (0, 1)))
-        return Remainder(self.features.T @ self.features, crossed, self.block, self.count, self.before)
+        return Remainder(self.features.T @ self.features, crossed, self.block, self.count, self.prior_covariance)
 
     def whitened(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the columns ``(N, n)`` that are ``taken`` and their sum weighted by ``vector (n,)``, both whitened
@@ -96,7 +96,7 @@ class ChannelRows:
 
 
 @dataclass(frozen=True, eq=False)
-class Lack:
+class RemainderFit:
     """Remainder of a channel: ``coefficients (m,)`` of the given features, the ``triangle (m, m)`` T with their
     covariance ``T'T``, the fraction of the residual's squares that each block ``explained (blocks,)``, and the
     effective number of parameters, ``freedom``. ``power`` is its sum of squares; given other recordings, that of the
@@ -160,9 +160,9 @@ class Design:
         return marginals
 
     @property
-    def is_told(self) -> bool:
+    def has_known_remainder(self) -> bool:
         """True if other recordings constrain the remainder of any channel."""
-        return any(channel.before is not None for channel in self.channels)
+        return any(channel.prior_covariance is not None for channel in self.channels)
 
     @property
     def cost(self) -> float:
@@ -194,11 +194,11 @@ class Design:
             self._known_scales[term] = scale if np.isfinite(scale) and scale > 0.0 else 1.0
         return self._known_scales[term]
 
-    def trust(self, candidate: Hypothesis[Any]) -> FloatArray:
+    def prior_precision(self, candidate: Hypothesis[Any]) -> FloatArray:
         """Prior precision ``(k,)`` of a candidate's coefficients."""
         if candidate not in self._known_trust:
-            stds = zip(candidate.usual, self.scales(candidate.terms), strict=True)
-            self._known_trust[candidate] = np.array([std or USUAL_SHARE * scale for std, scale in stds]) ** -2.0
+            stds = zip(candidate.prior_std, self.scales(candidate.terms), strict=True)
+            self._known_trust[candidate] = np.array([std or DEFAULT_FRACTION * scale for std, scale in stds]) ** -2.0
         return self._known_trust[candidate]
 
     def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> ChannelProducts:
@@ -207,7 +207,7 @@ class Design:
 
         def gathered() -> Iterator[tuple[IntArray, FloatArray]]:
             for place, (channel, columns) in enumerate(zip(self.channels, places, strict=True)):
-                present = channel.there[columns]
+                present = channel.present[columns]
                 present[-1] = True
                 yield np.flatnonzero(present), self._block(place, columns[present])
 
@@ -220,7 +220,7 @@ class Design:
             self._gathered[place] = key, self._marginalised[place].products[columns[:, None], columns]
         return self._gathered[place][1]
 
-    def settled(
+    def with_fitted_remainder(
         self,
         bodies: Sequence[int],
         terms: Sequence[Any],
@@ -230,16 +230,16 @@ class Design:
         near: Sequence[FloatArray] | None = None,
     ) -> Design:
         """Return the design with the most likely remainder at ``parameters (D,)`` of the columns of :meth:`gather`, for
-        a power ``named (C,)`` of the named effects, see :meth:`Remainder.settled`. Channels not in ``among`` keep
-        theirs. The search begins only at the variances ``near``, if these are given."""
+        a power ``named (C,)`` of the named effects, see :meth:`Remainder.fitted_variances`. Channels not in ``among``
+        keep theirs. The search begins only at the variances ``near``, if these are given."""
         among, variances = range(len(self.channels)) if among is None else list(among), list(self.variances)
         residuals = self._residuals(bodies, terms, parameters, among)
         for place, residual in zip(among, residuals, strict=True):
             start = None if near is None else near[place]
-            variances[place] = self.channels[place].remainder.settled(*residual, float(named[place]), start)
+            variances[place] = self.channels[place].remainder.fitted_variances(*residual, float(named[place]), start)
         return self.given(variances)
 
-    def remainders(self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray) -> list[Lack]:
+    def remainders(self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray) -> list[RemainderFit]:
         """Remainder of each channel at these ``parameters (D,)``."""
         residuals = self._residuals(bodies, terms, parameters, range(len(self.channels)))
         lacks = []
@@ -250,11 +250,11 @@ class Design:
             by_block = np.where(channel.block[:, None] == np.arange(len(channel.remainder.usual)), mean[:, None], 0.0)
             explained = np.sum(by_block * (squared @ by_block), axis=0)
             freedom = float(np.sum((whitener @ squared) * whitener))
-            totals = [mean] if channel.expected is None else [mean, mean + channel.expected]
+            totals = [mean] if channel.prior_mean is None else [mean, mean + channel.prior_mean]
             power = min(float(total @ squared @ total) for total in totals)
             noise = max(square - float(white @ white), 0.0) / max(channel.count, 1)
             triangle = np.sqrt(noise) * channel.scale * whitener
-            lacks.append(Lack(channel.scale * mean, triangle, explained / max(square, 1e-300), power, freedom))
+            lacks.append(RemainderFit(channel.scale * mean, triangle, explained / max(square, 1e-300), power, freedom))
         return lacks
 
     def powers(self, columns: Hypothesis[Any] | int, values: FloatArray) -> FloatArray:
@@ -291,7 +291,7 @@ class Design:
             self._known_terms[term] = np.array([channel.place.get(term, -1) for channel in self.channels])
         return self._known_terms[term]
 
-    def reached(self, candidate: Hypothesis[Any]) -> list[int]:
+    def affected_channels(self, candidate: Hypothesis[Any]) -> list[int]:
         """Channels that a candidate affects."""
         if candidate.payload is not None:
             return list(range(len(self.channels)))
@@ -300,7 +300,9 @@ class Design:
             self._known_reach[candidate] = channels
         return self._known_reach[candidate]
 
-    def own(self, alike: Sequence[Hypothesis[Any]], places: Mapping[int, IntArray]) -> list[CandidateProducts]:
+    def candidate_products(
+        self, alike: Sequence[Hypothesis[Any]], places: Mapping[int, IntArray]
+    ) -> list[CandidateProducts]:
         """Products of the columns of candidates, which have equally many, with those of a fit at ``places`` in some
         channels."""
         indices, products_by_channel = np.array([self._candidate_places(candidate) for candidate in alike]), []

@@ -15,14 +15,14 @@ from typing import Any, Generic
 
 import numpy as np
 
-from geomid_ros.estimation.fit import cost_of_spreads, likely_spreads
-from geomid_ros.estimation.link_priors import cost_of_own, held_together, likely_own
+from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
+from geomid_ros.estimation.link_priors import alike_rows, individual_std_cost, reestimated_individual_stds
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, fit_scales
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.definite import Packed
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference import prior as priors
-from geomid_ros.inference.design import BLOCKS, USUAL_SHARE, Design, Lack
+from geomid_ros.inference.design import BLOCKS, DEFAULT_FRACTION, Design, RemainderFit
 from geomid_ros.inference.hypothesis import Chosen, Term
 from geomid_ros.inference.prior import Prior
 from geomid_ros.types import FloatArray
@@ -40,9 +40,9 @@ class JointFit(Generic[Chosen, Term]):
         squares: whitened sums of squares ``(C,)``.
         packed: the :attr:`information`, packed because a search keeps hundreds of fits.
         weights: the prior's part of its diagonal ``(D,)``, other recordings excluded.
-        spreads: prior standard deviations of the links' errors ``(links,)``, geodesic distances.
+        prior_stds: prior standard deviations of the links' errors ``(links,)``, geodesic distances.
         inflation: factor on the variances of the other recordings.
-        own_spreads: prior standard deviations of the individual errors of the links that are alike ``(n,)``.
+        separate_prior_stds: prior standard deviations of the individual errors of the links that are alike ``(n,)``.
         changes: change ``(k,)`` of each candidate's coefficients from their known values, or its body's parameters.
     """
 
@@ -54,15 +54,15 @@ class JointFit(Generic[Chosen, Term]):
     squares: FloatArray
     packed: Packed
     weights: FloatArray
-    spreads: FloatArray
+    prior_stds: FloatArray
     inflation: float
-    own_spreads: FloatArray
+    separate_prior_stds: FloatArray
     changes: Mapping[Chosen, FloatArray]
 
     @property
     def information(self) -> FloatArray:
         """Hessian ``(D, D)`` of half the score in tangent coordinates."""
-        return self.packed.whole
+        return self.packed.full
 
     @property
     def bodies(self) -> list[int]:
@@ -105,14 +105,14 @@ class JointFit(Generic[Chosen, Term]):
         places, scales = int(self.manifold.real.start) + np.array(indices, dtype=np.intp), self.manifold.scales[indices]
         return np.asarray(self.inverse[places[:, None], places] * np.outer(scales, scales))
 
-    def settled(self, design: Design, among: Collection[int] | None = None) -> Design:
+    def with_fitted_remainder(self, design: Design, among: Collection[int] | None = None) -> Design:
         """Return the design with the most likely remainder at this fit, for all channels or those in ``among``."""
         named = np.zeros(len(design.channels))
-        for candidate, values in self.changes.items() if design.is_told else ():
+        for candidate, values in self.changes.items() if design.has_known_remainder else ():
             named += design.powers(candidate, values) / self.squares
-        return design.settled(self.bodies, self.terms, self.point.parameters, named, among)
+        return design.with_fitted_remainder(self.bodies, self.terms, self.point.parameters, named, among)
 
-    def remainders(self, design: Design) -> list[Lack]:
+    def remainders(self, design: Design) -> list[RemainderFit]:
         """Remainder of each channel at this fit."""
         return design.remainders(self.bodies, self.terms, self.point.parameters)
 
@@ -142,16 +142,16 @@ def fit(
     prior: Prior[Term],
     chosen: Sequence[Chosen],
     start: JointFit[Chosen, Term] | None = None,
-    spread: float | FloatArray | None = None,
+    prior_std: float | FloatArray | None = None,
 ) -> JointFit[Chosen, Term]:
     """Fit the chosen candidates together with all known parameters, from an earlier fit if one is given.
 
-    The links' prior stds and the trust in other recordings are estimated, unless a ``spread`` fixes the prior std of
+    The links' prior stds and the trust in other recordings are estimated, unless a ``prior_std`` fixes the prior std of
     all links, or of each. Recordings that contradict each other give two minima: either the others are right and the
     present measurement is mostly error, or the reverse. Both are searched; the more likely one is returned.
     """
-    if prior.known is None or spread is not None:
-        return _fit(design, prior, chosen, start, spread)
+    if prior.known is None or prior_std is not None:
+        return _fit(design, prior, chosen, start, prior_std)
     alone = _fit(design, replace(prior, known=None), chosen, start)
     rows, _ = _known_rows(prior, chosen, alone.manifold)
     off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
@@ -168,7 +168,7 @@ def _fit(
 ) -> JointFit[Chosen, Term]:
     """Return the minimum reached from the start, with the prior's constraints at zero."""
     free = _free_fit(design, prior, chosen, start, spread)
-    rows = prior.held(free.terms, free.point.reals)
+    rows = prior.constraints(free.terms, free.point.reals)
     return _free_fit(design, prior, chosen, free, spread, rows) if len(rows) else free
 
 
@@ -189,39 +189,39 @@ def _free_fit(
     manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
     prior_point = _known(manifold, prior, bodies)
     payloads_at = len(prior.inertias)
-    prior_stds = {term: std for c in chosen for term, std in zip(c.terms, c.usual, strict=True)}
-    stds = [prior_stds.get(term, 0.0) or USUAL_SHARE * scale for term, scale in zip(terms, scales, strict=True)]
+    prior_stds = {term: std for c in chosen for term, std in zip(c.terms, c.prior_std, strict=True)}
+    stds = [prior_stds.get(term, 0.0) or DEFAULT_FRACTION * scale for term, scale in zip(terms, scales, strict=True)]
     weights = np.ones(manifold.dimension)
     weights[manifold.real] = (scales / np.array(stds)) ** 2
-    weights[payloads_at : manifold.inertial.stop] = priors.SPREAD_OF_PAYLOADS**-2
+    weights[payloads_at : manifold.inertial.stop] = priors.PAYLOAD_PRIOR_STD**-2
     held = np.array([term not in own for term in prior.terms], dtype=bool)
     places = manifold.real.start + np.flatnonzero(held)
-    weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
+    weights[places] = (scales[: len(held)][held] / prior.prior_stds[held]) ** 2
     rows, cost = _known_rows(prior, chosen, manifold)
     zero = _constraint_rows(constraints, manifold, prior_point)
     earlier, zeros = (_products(manifold.rows_off(prior_point, own[:, :-1]), own[:, -1]) for own in (rows, zero))
     from_scratch = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
     inflation = 1.0 if fixed or start is None else start.inflation
-    spreads = np.full(payloads_at // 10, prior.link_spreads if spread is None else spread)
+    spreads = np.full(payloads_at // 10, prior.link_prior_stds if spread is None else spread)
     if start is not None and not (fixed or from_scratch):
-        spreads = start.spreads
+        spreads = start.prior_stds
     profile = Profile(manifold, products, design.counts, prior_point, design.floors)
     point = _first_point(manifold, prior_point, None if from_scratch else start, bodies, terms)
 
-    own_spreads = prior.own_spreads if start is None else start.own_spreads
+    own_spreads = prior.separate_prior_stds if start is None else start.separate_prior_stds
     ends = [len(spreads), len(spreads) + 1]
 
     def objective(prior_scales: FloatArray) -> ProfileObjective:
         links, inflation, individual = np.split(prior_scales, ends)
         precision = np.append(np.repeat(links, 10) ** -2.0, weights[payloads_at:])
-        held = held_together(prior.alike, individual, manifold.dimension)
+        held = alike_rows(prior.alike, individual, manifold.dimension)
         return ProfileObjective(profile, precision, earlier / inflation + zeros + _products(held, np.zeros(len(held))))
 
     def likely(point: Point, hessian: FloatArray, previous: FloatArray) -> FloatArray:
         tangent, root = manifold.log(prior_point, point)[:payloads_at], definite.roots(hessian, payloads_at)
-        spreads = likely_spreads(tangent, np.sum(root**2, axis=1), prior.link_spreads, prior.certainty)
-        individual = likely_own(prior.alike, np.split(previous, ends)[2], tangent, root)
+        spreads = reestimated_prior_stds(tangent, np.sum(root**2, axis=1), prior.link_prior_stds, prior.certainty)
+        individual = reestimated_individual_stds(prior.alike, np.split(previous, ends)[2], tangent, root)
         return np.concatenate([spreads, [priors.inflation_of(rows, manifold, point, prior_point, root)], individual])
 
     begin = np.concatenate([spreads, [inflation], own_spreads])
@@ -230,8 +230,10 @@ def _free_fit(
     solution = fit_scales(objective, point, begin, None if fixed else likely)
     spreads, (inflation,), own_spreads = np.split(solution.scales, ends)
     point = solution.point
-    score = solution.score + design.cost + cost_of_spreads(spreads, prior.link_spreads, prior.certainty)
-    score += cost + priors.cost_of_inflation(rows, inflation) + prior.cost + cost_of_own(prior.alike, own_spreads)
+    score = solution.score + design.cost + prior_std_cost(spreads, prior.link_prior_stds, prior.certainty)
+    score += (
+        cost + priors.cost_of_inflation(rows, inflation) + prior.cost + individual_std_cost(prior.alike, own_spreads)
+    )
     score += sum(c.cost for c in chosen)
     places = {term: place for place, term in enumerate(terms)}
     payloads = iter(point.parameters[payloads_at : manifold.inertial.stop].reshape(-1, 10))
@@ -250,9 +252,9 @@ def _free_fit(
         squares=profile.squares(point),
         packed=Packed.of(solution.hessian),
         weights=solution.objective.weights,
-        spreads=spreads,
+        prior_stds=spreads,
         inflation=inflation,
-        own_spreads=own_spreads,
+        separate_prior_stds=own_spreads,
         changes=changes,
     )
 
@@ -264,14 +266,14 @@ def _products(rows: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: ParameterManifold) -> tuple[FloatArray, float]:
-    """Rows of other recordings and their cost, none without any; see :meth:`OtherRecordings.of_now`. Coefficients of
-    the chosen candidates have changed since then."""
+    """Rows of other recordings and their cost, none without any; see :meth:`OtherRecordings.present_rows`. Coefficients
+    of the chosen candidates have changed since then."""
     if prior.known is None:
         return np.zeros((0, manifold.dimension + 1)), 0.0
     named = {term for c in chosen for term in c.terms}
-    triples = zip(prior.terms, prior.spreads.tolist(), prior.known.changes, strict=False)
+    triples = zip(prior.terms, prior.prior_stds.tolist(), prior.known.changes, strict=False)
     others = {place: spread for place, (term, spread, _) in enumerate(triples) if term in named}
-    return prior.known.of_now(manifold.dimension, int(manifold.real.start), others)
+    return prior.known.present_rows(manifold.dimension, int(manifold.real.start), others)
 
 
 def _constraint_rows(constraints: FloatArray | None, manifold: ParameterManifold, prior: Point) -> FloatArray:
@@ -294,16 +296,16 @@ def unfitted(prior: Prior[Term]) -> JointFit[Any, Term]:
         squares=np.zeros(0),
         packed=Packed.of(np.eye(size)),
         weights=np.ones(size),
-        spreads=prior.link_spreads,
+        prior_stds=prior.link_prior_stds,
         inflation=1.0,
-        own_spreads=prior.own_spreads,
+        separate_prior_stds=prior.separate_prior_stds,
         changes={},
     )
 
 
 def _known(manifold: ParameterManifold, prior: Prior[Any], bodies: Sequence[int]) -> Point:
     links = prior.inertias.reshape(-1, 10)
-    payloads = [priors.usual_payload(links, body) for body in bodies]
+    payloads = [priors.default_payload(links, body) for body in bodies]
     reals = np.zeros(len(manifold.scales))
     reals[: len(prior.values)] = prior.values
     return manifold.point(np.concatenate([prior.inertias, *payloads, reals]))

@@ -24,7 +24,7 @@ class Hypothesis(Protocol[_Term_co]):
         """Link that carries the body, as an index into the identified links; None for columns."""
 
     @property
-    def usual(self) -> tuple[float, ...]:
+    def prior_std(self) -> tuple[float, ...]:
         """Prior stds of its coefficients about their known values; 0 for a fraction of the measurement."""
 
     @property

@@ -9,17 +9,17 @@ from typing import Generic
 
 import numpy as np
 
-from geomid_ros.estimation.link_priors import common_spreads
+from geomid_ros.estimation.link_priors import common_prior_stds
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference.hypothesis import Term
-from geomid_ros.model.alike_parts import OWN_SPREAD, AlikeParts
+from geomid_ros.model.alike_parts import ALIKE_PRIOR_STD, AlikeParts
 from geomid_ros.types import FloatArray, IntArray
 
 GAIN = 0.03
 """Relative standard deviation of a common gain of all efforts, unless it is known; of torques from motor currents."""
-SPREAD_OF_PAYLOADS = 3.0
+PAYLOAD_PRIOR_STD = 3.0
 """Prior standard deviation of a payload about the default one, a geodesic distance: almost no information."""
 _PAYLOAD_MASS = 0.2  # fraction of the mean link mass
 _PAYLOAD_SIZE = 0.1  # [m]
@@ -56,7 +56,7 @@ class OtherRecordings:
         columns = np.append(np.arange(self.links), self.links + places)
         return replace(self, rows=self.rows[:, columns], changes=changes)
 
-    def beside(self, columns: FloatArray) -> tuple[OtherRecordings, float]:
+    def marginalised(self, columns: FloatArray) -> tuple[OtherRecordings, float]:
         """Marginalise over further unknowns of unit variance, of which the residuals have ``columns (r, n)``. Return
         the result, and its addition to minus twice the log likelihood."""
         directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
@@ -64,23 +64,23 @@ class OtherRecordings:
         rows, residuals = (values + shrinkage @ (directions.T @ values) for values in (self.rows, self.residuals))
         return replace(self, rows=rows, residuals=residuals), float(np.sum(np.log1p(sizes**2)))
 
-    def trusted(self, inflation: float) -> OtherRecordings:
+    def inflated(self, inflation: float) -> OtherRecordings:
         """Return a copy with all variances multiplied by ``inflation``."""
         root = np.sqrt(inflation)
         return OtherRecordings(self.rows / root, self.residuals / root, self.changes * root)
 
     @cached_property
     def _changed(self) -> tuple[OtherRecordings, float]:
-        return self.beside(self.rows[:, self.links :] * self.changes)
+        return self.marginalised(self.rows[:, self.links :] * self.changes)
 
-    def of_now(self, dimension: int, first: int, others: Mapping[int, float]) -> tuple[FloatArray, float]:
+    def present_rows(self, dimension: int, first: int, others: Mapping[int, float]) -> tuple[FloatArray, float]:
         """Return rows for the present D parameters, with the residuals at the prior as last column ``(r, D + 1)``, and
         what the changes since then add to minus twice the log likelihood. Coefficients begin at the parameter
         ``first``. ``others`` are indices of coefficients that are different now, with standard deviations of their
         earlier values: the rows constrain these, but not the present ones."""
         earlier, cost = self._changed
         changed = [self.links + place for place in others]
-        earlier, added = earlier.beside(earlier.rows[:, changed] * [*others.values()])
+        earlier, added = earlier.marginalised(earlier.rows[:, changed] * [*others.values()])
         kept = earlier.rows.copy()
         kept[:, changed] = 0.0
         rows = np.zeros((len(kept), dimension + 1))
@@ -89,7 +89,7 @@ class OtherRecordings:
         return rows, cost + added
 
 
-def nothing_held(_: Sequence[object], values: FloatArray) -> FloatArray:
+def no_constraints(_: Sequence[object], values: FloatArray) -> FloatArray:
     """Return no constraint rows for ``values (k,)``."""
     return np.zeros((0, len(values)))
 
@@ -100,29 +100,29 @@ class Prior(Generic[Term]):
 
     Attributes:
         inertias: the links' parameters ``(10 links,)``.
-        spread: prior standard deviation of a link's error, a geodesic distance.
-        terms, values, spreads: coefficients ``(k,)`` of the effects in the model, and their prior standard deviations.
-        certainty: weight of ``spread`` when it is re-estimated, in directions of a link's error.
+        prior_std: prior standard deviation of a link's error, a geodesic distance.
+        terms, values, prior_stds: coefficients ``(k,)`` of the effects in the model, and their prior stds.
+        certainty: weight of ``prior_std`` when it is re-estimated, in directions of a link's error.
         identified: True if all this was identified, not guessed.
         known: information from other recordings on the links, and on effects.
         changed_link: link that differs now from the one in the other recordings.
         cost: minus twice the log of the factor that this change puts on the likelihood of the other recordings.
         alike: groups of links that have most of their errors in common.
-        held: gives constraint rows ``(r, k)`` that fix combinations of coefficients at zero, from terms and values.
+        constraints: gives rows ``(r, k)`` that fix combinations of coefficients at zero, from terms and values.
     """
 
     inertias: FloatArray
-    spread: float
+    prior_std: float
     terms: tuple[Term, ...]
     values: FloatArray
-    spreads: FloatArray
+    prior_stds: FloatArray
     certainty: float
     identified: bool = False
     known: OtherRecordings | None = None
     changed_link: int | None = None
     cost: float = 0.0
     alike: Sequence[AlikeParts] = ()
-    held: Callable[[Sequence[Term], FloatArray], FloatArray] = nothing_held
+    constraints: Callable[[Sequence[Term], FloatArray], FloatArray] = no_constraints
 
     @property
     def by_itself(self) -> Prior[Term]:
@@ -131,37 +131,37 @@ class Prior(Generic[Term]):
             return self
         manifold = StraightManifold(len(self.inertias) // 10, 0, np.ones(0))
         links = manifold.whiten(manifold.point(self.inertias), self.known.rows[:, : self.known.links])
-        rows = np.column_stack([links * self.spread, self.known.rows[:, self.known.links :]])
+        rows = np.column_stack([links * self.prior_std, self.known.rows[:, self.known.links :]])
         count = len(self.known.changes)
-        rows[:, self.known.links :] *= self.spreads[:count]
+        rows[:, self.known.links :] *= self.prior_stds[:count]
         variances = np.diag(np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1])))[self.known.links :]
-        earlier = np.append(np.sqrt(variances) * self.spreads[:count], self.spreads[count:])
+        earlier = np.append(np.sqrt(variances) * self.prior_stds[:count], self.prior_stds[count:])
         spreads = np.hypot(earlier, np.append(self.known.changes, np.zeros(len(earlier) - count)))
-        return replace(self, known=None, spreads=spreads)
+        return replace(self, known=None, prior_stds=spreads)
 
     @property
-    def link_spreads(self) -> FloatArray:
+    def link_prior_stds(self) -> FloatArray:
         """Prior standard deviation of each link's error ``(links,)``, sqrt(n) times larger for n links that are
         alike."""
-        spreads = common_spreads(self.alike, np.full(len(self.inertias) // 10, self.spread))
+        spreads = common_prior_stds(self.alike, np.full(len(self.inertias) // 10, self.prior_std))
         if self.changed_link is not None:
             spreads[self.changed_link] = _SPREAD_OF_CHANGED
         return spreads
 
     @property
-    def own_spreads(self) -> FloatArray:
+    def separate_prior_stds(self) -> FloatArray:
         """Prior standard deviation of the individual part of each alike link's error ``(n,)``."""
-        return np.full(sum(len(group.members) for group in self.alike), OWN_SPREAD)
+        return np.full(sum(len(group.members) for group in self.alike), ALIKE_PRIOR_STD)
 
     def with_changed(self, link: int) -> Prior[Term]:
         """Return the prior for a robot of which ``link`` has changed since the other recordings. These constrain only
-        the other links: the former link is marginalised with the prior std ``spread``."""
+        the other links: the former link is marginalised with the prior std ``prior_std``."""
         if self.known is None:
             return self
         manifold, places = StraightManifold(len(self.inertias) // 10, 0, np.ones(0)), slice(10 * link, 10 * link + 10)
         links = self.known.rows[:, : self.known.links]
-        columns = self.spread * manifold.whiten(manifold.point(self.inertias), links)[:, places]
-        known, cost = self.known.beside(columns)
+        columns = self.prior_std * manifold.whiten(manifold.point(self.inertias), links)[:, places]
+        known, cost = self.known.marginalised(columns)
         rows = known.rows.copy()
         rows[:, places] = 0.0
         return replace(self, known=replace(known, rows=rows), changed_link=link, cost=cost)
@@ -171,7 +171,7 @@ class Prior(Generic[Term]):
         return float(self.values[self.terms.index(term)]) if term in self.terms else 0.0
 
 
-def usual_payload(links: FloatArray, carrier: int) -> FloatArray:
+def default_payload(links: FloatArray, carrier: int) -> FloatArray:
     """Parameters ``(10,)`` of the default payload on the link ``carrier`` of ``links (n, 10)``."""
     return _ball(_PAYLOAD_MASS * float(np.mean(links[:, 0])), links[carrier, 1:4] / links[carrier, 0])
 

@@ -8,7 +8,7 @@ from typing import Any, Generic
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import TOLD
+from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered
 from geomid_ros.inference.hypothesis import Chosen, Hypothesis, Term
@@ -28,7 +28,7 @@ def shares(scores: Sequence[float] | FloatArray) -> FloatArray:
 def probability_of_square(square: float) -> float:
     """Largest probability that a size is not zero, if it is ``sqrt(square)`` standard deviations from zero. Within
     three of these it is no evidence."""
-    return 1.0 / (1.0 + float(np.exp(-0.5 * np.clip(square - TOLD**2, -1e3, 1e3))))
+    return 1.0 / (1.0 + float(np.exp(-0.5 * np.clip(square - SIGNIFICANT_STDS**2, -1e3, 1e3))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Supports(Generic[Chosen, Term]):
         if candidate not in self._losses:
             selection, current = self._selection, self._found
             rest = selection.without(current, candidate)
-            design = rest.settled(selection.design, selection.design.reached(candidate))
+            design = rest.with_fitted_remainder(selection.design, selection.design.affected_channels(candidate))
             both = [fit(design, selection.prior, joint_fit.chosen, joint_fit).score for joint_fit in (rest, current)]
             self._losses[candidate] = min(rest.score, both[0]) - min(current.score, both[1])
         return self._losses[candidate]
@@ -131,7 +131,7 @@ class Supports(Generic[Chosen, Term]):
         square = float(values @ np.linalg.solve(self._covariance[np.ix_(places, places)], values))
         wider = 1.0 + self.doubt(candidate) ** 2 * square  # of the covariance's determinant
         size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
-        return size - (price if size > TOLD**2 else max(price, TOLD**2))
+        return size - (price if size > SIGNIFICANT_STDS**2 else max(price, SIGNIFICANT_STDS**2))
 
     def doubt(self, candidate: Chosen) -> float:
         """Relative standard deviation of its size due to the remainder."""

@@ -38,7 +38,7 @@ def score_tests(design: Design, current: JointFit[Chosen, Any], candidates: Sequ
     of_channel = [limb_of_column[places[0]] for places in design.gather(current.bodies, current.terms).places]
     by_kind: dict[tuple[int, int], list[Chosen]] = {}
     for candidate in candidates:
-        reached = {of_channel[channel] for channel in design.reached(candidate)}
+        reached = {of_channel[channel] for channel in design.affected_channels(candidate)}
         limb = reached.pop() if len(reached) == 1 else _EVERY
         by_kind.setdefault((limb, len(candidate.terms)), []).append(candidate)
     trials: dict[Chosen, Trial[Chosen]] = {}
@@ -93,7 +93,9 @@ class _Test(Generic[Chosen]):
     def of(self, alike: Sequence[Chosen]) -> dict[Chosen, Trial[Chosen]]:
         """Compute the score tests of candidates with equally many columns."""
         places = self._design.places(self._current.bodies, self._current.terms)
-        products = self._design.own(alike, {channel: places[channel, self._columns] for channel in self._channels})
+        products = self._design.candidate_products(
+            alike, {channel: places[channel, self._columns] for channel in self._channels}
+        )
         trust = self._trust(alike)
         crossed = np.zeros((*trust.shape, len(self._vector)))
         squared = np.zeros((*trust.shape, trust.shape[1]))
@@ -122,7 +124,7 @@ class _Test(Generic[Chosen]):
         """Prior precisions ``(G, k)`` of the candidates' coefficients; of bodies almost zero."""
         if alike[0].payload is not None:
             return np.full((len(alike), 10), 1e-12)
-        return np.array([self._design.trust(candidate) for candidate in alike])
+        return np.array([self._design.prior_precision(candidate) for candidate in alike])
 
     def _log_narrowing(self, alike: Sequence[Chosen], precision: FloatArray, trust: FloatArray) -> FloatArray:
         """Twice the log of how much the data narrow the coefficients ``(G,)``; of bodies by a rule of thumb."""

@@ -16,10 +16,10 @@ import numpy as np
 from geomid_ros.geometry import definite
 from geomid_ros.types import FloatArray, IntArray
 
-USUAL = 0.3**2
+DEFAULT_VARIANCE = 0.3**2
 """Default prior variance of a block's contribution, in units of the noise variance."""
 _IMPERFECT = 0.05  # fraction of the named effects' RMS by which each block may deviate
-_STARTS = (USUAL, 3.0**2)  # there are several minima
+_STARTS = (DEFAULT_VARIANCE, 3.0**2)  # there are several minima
 _ROUNDS = 20
 _SETTLED = 0.1  # change of a log variance
 
@@ -43,19 +43,19 @@ class Remainder:
         crossed: products ``(m, K)`` of features and columns.
         block: index of each feature's block ``(m,)``.
         count: number of rows.
-        before: covariance ``(m, m)`` of the coefficients given other recordings, in noise variances; None without any.
+        prior_covariance: of the coefficients given other recordings ``(m, m)``, in noise variances; None without any.
     """
 
     squared: FloatArray
     crossed: FloatArray
     block: IntArray
     count: int
-    before: FloatArray | None = None
+    prior_covariance: FloatArray | None = None
 
     @property
     def usual(self) -> FloatArray:
         """Default variance of each block ``(blocks,)``."""
-        return np.full(int(np.max(self.block, initial=-1)) + 1, USUAL)
+        return np.full(int(np.max(self.block, initial=-1)) + 1, DEFAULT_VARIANCE)
 
     def marginalised(self, products: FloatArray, variances: FloatArray) -> Marginal:
         """Integrate the features out of the ``products (K, K)`` of the columns, for ``variances (blocks,)``."""
@@ -70,32 +70,40 @@ class Remainder:
     def _precision(self, variances: FloatArray) -> FloatArray:
         """Prior precision of the coefficients ``(m, m)``."""
         diagonal = variances[self.block]
-        return np.diag(1.0 / diagonal) if self.before is None else definite.inverse(self.before + np.diag(diagonal))
+        return (
+            np.diag(1.0 / diagonal)
+            if self.prior_covariance is None
+            else definite.inverse(self.prior_covariance + np.diag(diagonal))
+        )
 
     def root(self, variances: FloatArray) -> FloatArray:
         """Root ``(m, m)`` of the prior covariance of the coefficients."""
         diagonal = variances[self.block]
         return np.asarray(
-            np.diag(diagonal**0.5) if self.before is None else np.linalg.cholesky(self.before + np.diag(diagonal))
+            np.diag(diagonal**0.5)
+            if self.prior_covariance is None
+            else np.linalg.cholesky(self.prior_covariance + np.diag(diagonal))
         )
 
     def _cost(self, whitener: FloatArray, variances: FloatArray) -> float:
         """Addition of the features to minus twice the log likelihood: ``log det(I + R^1/2 F'F R^1/2)``, and the
         inverse-gamma prior of the variances where these are estimated."""
         volume = 2.0 * float(np.sum(np.log(np.diag(self.root(variances)) / np.abs(np.diag(whitener)))))
-        if self.before is not None:
+        if self.prior_covariance is not None:
             return volume
-        relative = variances / USUAL
+        relative = variances / DEFAULT_VARIANCE
         return volume + float(np.sum(np.log(relative) + 1.0 / relative - 1.0))
 
-    def settled(self, vector: FloatArray, square: float, named: float, near: FloatArray | None = None) -> FloatArray:
+    def fitted_variances(
+        self, vector: FloatArray, square: float, named: float, near: FloatArray | None = None
+    ) -> FloatArray:
         """Return the most likely variances ``(blocks,)`` for a residual with column weights ``vector (K,)`` and this
         sum of squares, by MacKay's fixed point from several starts, or from ``near (blocks,)``.
 
         Given other recordings, the remainder changes only by the default variance, and by a fraction of ``named``: the
         mean square of the named effects in units of the noise variance. No effect acts exactly as its columns state.
         """
-        if self.before is not None:
+        if self.prior_covariance is not None:
             return self.usual + _IMPERFECT**2 * named
         if not len(self.block) or not square > 0.0:
             return self.usual
@@ -118,7 +126,9 @@ class Remainder:
             previous, white = variances, whitener @ residual
             noise = max(square - float(white @ white), 1e-9 * square) / self.count
             determined = sizes - np.bincount(self.block, np.sum(whitener**2, axis=0)) / variances
-            variances = (np.bincount(self.block, (white @ whitener) ** 2) / noise + USUAL) / (determined + 1.0)
+            variances = (np.bincount(self.block, (white @ whitener) ** 2) / noise + DEFAULT_VARIANCE) / (
+                determined + 1.0
+            )
             whitener = self.whitener(variances)
             if np.all(np.abs(np.log(variances / previous)) < _SETTLED):
                 break

@@ -119,7 +119,7 @@ class Selection(Generic[Chosen, Term]):
         best: JointFit[Chosen, Term] | None = None
         reached = frozenset[int]()
         for trial in self._promising(current, 0.0):
-            channels = frozenset(self.design.reached(trial.candidate))
+            channels = frozenset(self.design.affected_channels(trial.candidate))
             if best is not None and KEPT_PROMISE * trial.gain < current.score - best.score:
                 break
             if best is not None and not channels & reached:
@@ -145,7 +145,7 @@ class Selection(Generic[Chosen, Term]):
         inertias, which the body made wrong, imitate it. So the test uses the inertias' default prior std."""
         key = frozenset(current.chosen)
         if key not in self._bodies:
-            firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_spreads)
+            firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_prior_stds)
             trials = self._rank(firm, [c for c in self.hypotheses if c.payload is not None])
             self._bodies[key] = [trial for trial in trials if trial.gain > 0.0][:_BODIES]
         return self._bodies[key]
@@ -171,13 +171,13 @@ class Selection(Generic[Chosen, Term]):
         if any(c.payload is not None for c in dropped):
             return float("inf")
         covariance = current.covariance_of([term for c in dropped for term in c.terms])
-        roots = np.sqrt(np.concatenate([self.design.trust(c) for c in dropped]))
+        roots = np.sqrt(np.concatenate([self.design.prior_precision(c) for c in dropped]))
         log_narrowing = np.linalg.slogdet(covariance * np.outer(roots, roots))[1]
         return sum(c.cost for c in dropped) - float(log_narrowing)
 
     def _overlap(self, first: Chosen, second: Chosen) -> bool:
         """True if two affect exactly the same channels."""
-        reached = [self.design.reached(c) for c in (first, second)]
+        reached = [self.design.affected_channels(c) for c in (first, second)]
         return reached[0] == reached[1]
 
     def estimated_loss(self, current: JointFit[Chosen, Term], gone: Sequence[Chosen]) -> float:

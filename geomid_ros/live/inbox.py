@@ -51,7 +51,7 @@ class Inbox:
             self._queue.put(accepted)
         return messages[len(accepted) :]
 
-    def ask(self, request: Request) -> None:
+    def request(self, request: Request) -> None:
         """Put a request behind the waiting messages."""
         self._queue.put(request)
 

@@ -15,7 +15,7 @@ class Pace:
         self._seen = 0  # number of rows one period ago
         self._skipped = 0  # periods since the last solve
 
-    def worth(self, rows: int, much_is_new: bool) -> bool:
+    def is_due(self, rows: int, much_is_new: bool) -> bool:
         """True if a solve is due: if much is new, at every tenth period, or once no more data come.
 
         Args:

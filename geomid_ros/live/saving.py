@@ -17,7 +17,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder, Restored
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.gap.evidence.features import StandingRemainder
+from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
 from geomid_ros.live.worker import LONG, Worker
 from geomid_ros.session.session import Session, save
@@ -177,7 +177,7 @@ class Saving:
         self._activity = Activity()
         self._problem = ""
         self._saved: Estimate | None = None
-        self._remainder: tuple[Estimate, StandingRemainder] | None = None  # latest, and its estimate
+        self._remainder: tuple[Estimate, KnownRemainder] | None = None  # latest, and its estimate
         self._one_at_a_time = threading.Lock()
 
     @property
@@ -217,7 +217,7 @@ class Saving:
         except Exception as error:  # noqa: BLE001 as below
             self._problem = f"what the estimate lacks could not be saved: {error}"
 
-    def _remainder_of(self, estimate: Estimate) -> StandingRemainder | None:
+    def _remainder_of(self, estimate: Estimate) -> KnownRemainder | None:
         return self._remainder[1] if self._remainder is not None and self._remainder[0] is estimate else None
 
     def begin_when_solved(self, worker: Worker, done: Callable[[Answer], None]) -> None:
@@ -228,7 +228,7 @@ class Saving:
             done: called once, within five seconds, with True if that succeeded, and a sentence.
         """
         answer = _OneAnswer(done)
-        worker.final_estimate(lambda result: self.begin(worker, result, answer))
+        worker.request_estimate(lambda result: self.begin(worker, result, answer))
 
         def save_last() -> None:
             last = worker.estimate

@@ -12,7 +12,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from geomid_ros.checks.causes import Finding
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.exports.weighed_payload import Payload, weigh_at
+from geomid_ros.exports.weighed_payload import Payload, identify_payload_at
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import gap_document
 from geomid_ros.gap.result import GapResult
@@ -246,13 +246,13 @@ def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepte
         samples = samples_of_messages(session.new_pipeline(), messages, stage, progress)
         if samples is None:
             raise InputError(f"too little motion {condition} the payload: move all joints for half a minute")
-        session.review.judge_apart()
+        session.review.check_separately()
         session.review.check.add(samples)
         session.review.judge()
         recordings.append(samples)
     progress("solving", 0.0)
     frame, gain = session.configuration["payload.frame"], session.configuration["payload.gain"]
-    return weigh_at(session, recordings[:1], recordings[1:], frame, gain)
+    return identify_payload_at(session, recordings[:1], recordings[1:], frame, gain)
 
 
 def _last_stamp(messages: Sequence[Accepted]) -> int:

@@ -26,7 +26,7 @@ from geomid_ros.monitoring.change_detection import (
     robot_may_have_changed,
     sensor_channels,
 )
-from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import payload_watch
 from geomid_ros.session.session import Session
@@ -59,7 +59,7 @@ class Solver:
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
         self._listener = listener
-        self._reported: Carried | None = None  # last payload passed to the listener
+        self._reported: CarriedPayload | None = None  # last payload passed to the listener
         self._lock = threading.Lock()  # held briefly, for all fields below
         self.estimate: Estimate | None = None  # the last one
         self._earlier: deque[tuple[int, Estimate]] = deque(maxlen=_EARLIER)  # latest ones, with their sample counts
@@ -87,7 +87,7 @@ class Solver:
             self._epoch += 1
             self._closing = False  # nobody waits for the thread any more
 
-    def ask(self, done: Done) -> None:
+    def request(self, done: Done) -> None:
         """Solve from scratch, unless that was done for the same rows. ``done(result)`` is called in the solver's
         thread."""
         self._requests.put(partial(self._answer, done))
@@ -131,7 +131,7 @@ class Solver:
         self._solved_rows = 0
 
     @property
-    def carried(self) -> Carried | None:
+    def carried(self) -> CarriedPayload | None:
         """Payload that was picked up; None if there is none."""
         payload = self.detector.payload
         return None if payload is None else payload.carried
@@ -188,7 +188,7 @@ class Solver:
             if rows == self._solved_rows:
                 return
             much_is_new = self._forgets or bool(self.problem) or identifier.outgrown(self._solved_rows, NEW_SHARE)
-            if self._pace.worth(rows, much_is_new):
+            if self._pace.is_due(rows, much_is_new):
                 self._solve_once(self._warm_start())
             else:
                 self._judge()
@@ -212,7 +212,7 @@ class Solver:
     def _detect_changes(self) -> None:
         detector = self.detector
         try:
-            while detector.judge():
+            while detector.test():
                 self._leave_out_changed_sensors(detector)
             self._report_payload(detector)
         except Exception as error:  # noqa: BLE001 the thread must survive; the diagnostics report it
@@ -235,14 +235,14 @@ class Solver:
             for topic, channels in self._sensors.items():
                 reason = f"wrench changed: {topic}"
                 if changed is None:  # the sensor is sound
-                    self._session.identifier.take_again(reason, 0)
+                    self._session.identifier.restore_rows(reason, 0)
                 elif topic not in changed:
-                    self._session.identifier.take_again(reason, detector.judged)
+                    self._session.identifier.restore_rows(reason, detector.judged)
                 elif self._session.identifier.leave_out(reason, channels, changed[topic]):
                     self._solve_afresh()
         robot_changed = robot_may_have_changed(detector.gaps, self._session.model)
         suspect = [] if robot_changed else [place for places in self._sensors.values() for place in places]
-        self._session.identifier.settle(detector.normal(suspect))
+        self._session.identifier.settle(detector.unchanged_before(suspect))
 
     def _warm_start(self) -> WarmStart | None:
         """Return the starting point of the next solve; None before the first, and after a failed one. If much is new,
@@ -301,7 +301,7 @@ class Solver:
             self.problem = ""
             self.estimate = estimate
             prior_rows = rows if warm is None or warm.effects_alone else warm.rows
-            self._session.warm = WarmStart(estimate.parameters, prior_rows, estimate.spreads)
+            self._session.warm = WarmStart(estimate.parameters, prior_rows, estimate.prior_stds)
             return True
 
     def _fail(self, error: Exception) -> None:

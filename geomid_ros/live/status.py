@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import ChannelGap
-from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Account
 
@@ -22,7 +22,7 @@ class Listener:
     def estimate(self, session: Session, estimate: Estimate) -> None:
         """Receive a new estimate."""
 
-    def carried(self, carried: Carried | None) -> None:
+    def carried(self, carried: CarriedPayload | None) -> None:
         """Receive the payload that is carried from now on; None if there is none."""
 
 
@@ -61,7 +61,7 @@ class Status:
     gaps: tuple[ChannelGap, ...] = ()
     estimate: Estimate | None = None
     changed_sensors: tuple[str, ...] = ()
-    carried: Carried | None = None
+    carried: CarriedPayload | None = None
     configured: bool = True
 
     def account(self, topic: str) -> Account:

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.dynamics import InverseDynamics
-from geomid_ros.monitoring.payload_watch import Carried, carrying
+from geomid_ros.monitoring.payload_watch import CarriedPayload, with_payload
 from geomid_ros.session.session import Session
 from geomid_ros.signals.arrived import NO_STAMP
 from geomid_ros.signals.decoding import Decoder
@@ -46,7 +46,7 @@ class Stream:
         self._decoder = Decoder()
         self._model: _Model | None = None
         self._used: tuple[Session, Estimate] | None = None
-        self._carried: Carried | None = None
+        self._carried: CarriedPayload | None = None
         self._last = (0, np.zeros((3, 0)))  # stamp and motion of the last message
         self.refused: Counter[str] = Counter()
         """Messages that could not be predicted, by reason."""
@@ -62,9 +62,9 @@ class Stream:
         """Predict with an ``estimate`` from now on."""
         self._used = session, estimate
         self.obstacle = _obstacle(session)
-        self._model = None if self.obstacle else _Model.of(session, carrying(estimate, self._carried))
+        self._model = None if self.obstacle else _Model.of(session, with_payload(estimate, self._carried))
 
-    def carry(self, carried: Carried | None) -> None:
+    def carry(self, carried: CarriedPayload | None) -> None:
         """Predict with this payload from now on, or with none."""
         self._carried = carried
         if self._used is not None:

@@ -112,14 +112,14 @@ class Supervisor:
     def _with_locked(self, absent: tuple[str, ...]) -> Configuration:
         return with_locked(self._configuration, absent) if absent else self._configuration
 
-    def use(self, configuration: Configuration, *, anew: bool) -> None:
-        """Solve with another configuration from now on; with ``anew`` only from the next :meth:`build` on.
+    def use(self, configuration: Configuration, *, rebuild: bool) -> None:
+        """Solve with another configuration from now on; with ``rebuild`` only from the next :meth:`build` on.
 
         Raises:
             InputError: the configuration does not fit.
         """
         self._configuration = configuration
-        if self.worker is not None and not anew:
+        if self.worker is not None and not rebuild:
             self.worker.solver.use(self._with_locked(self._absent))
 
     def _restore(self, session: Session) -> None:
@@ -150,7 +150,7 @@ class Supervisor:
         if self.worker is None:
             return
         session, now = self.worker.session, time.monotonic()
-        absent = (*(joint for joint in self._absent if joint not in session.joints_heard), *session.lockable)
+        absent = (*(joint for joint in self._absent if joint not in session.received_joints), *session.lockable)
         if absent == self._absent:
             self._agreed = now
         elif now - self._agreed > _PUBLISHERS_START:
@@ -160,7 +160,7 @@ class Supervisor:
             except InputError as error:
                 self._log.error(str(error))
 
-    def restart_what_hangs(self) -> None:
+    def restart_hung_threads(self) -> None:
         """End the solving process if a solve hangs; if the intake hangs, replace the worker, whose rows are lost."""
         worker = self.worker
         if worker is None:
@@ -172,7 +172,7 @@ class Supervisor:
             self.build(worker.session.urdf, "robot_description", self._absent)
             return
         if solver and self._solving and self._solving.give_up():
-            worker.solver.activity.count_anew()
+            worker.solver.activity.restart_timer()
             self._hung, self._solves, solver = "the solver hung and was restarted", worker.solver.solves, False
         elif worker.solver.solves > self._solves:
             self._hung = ""

@@ -60,6 +60,6 @@ class Activity:
         task = self._begun
         return (task[0], time.monotonic() - max(task[1], self._counted_from)) if task else ("", 0.0)
 
-    def count_anew(self) -> None:
+    def restart_timer(self) -> None:
         """Restart the count of seconds, after whatever blocked the task was removed."""
         self._counted_from = time.monotonic()

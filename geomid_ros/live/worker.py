@@ -19,7 +19,7 @@ from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import PART
-from geomid_ros.monitoring.payload_watch import carrying
+from geomid_ros.monitoring.payload_watch import with_payload
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import WrenchGuard
 from geomid_ros.signals.decoding import Decoder
@@ -73,17 +73,17 @@ class Worker:
         for message in messages:
             self.ledger.drop(message.topic, reason)
 
-    def take(self, messages: Sequence[Received]) -> None:
+    def enqueue(self, messages: Sequence[Received]) -> None:
         """Queue messages for the intake; drop those for which the queue has no room."""
         self._drop(self._inbox.put_messages(messages), "queue full")
 
     def reset(self) -> None:
         """Discard all rows and the estimate, after the waiting messages are processed."""
-        self._inbox.ask(self._forget)
+        self._inbox.request(self._forget)
 
-    def final_estimate(self, done: Done) -> None:
+    def request_estimate(self, done: Done) -> None:
         """Solve from scratch for all messages so far. ``done(result)`` is called in the solver's thread."""
-        self._inbox.ask(lambda: self.solver.ask(done))
+        self._inbox.request(lambda: self.solver.request(done))
 
     def recent_messages(self) -> list[Accepted]:
         """Return the remembered messages; while a gap is open or a payload is carried, only those since then.
@@ -229,7 +229,7 @@ class Worker:
         if self.solver.detector.add(identifier.instants - len(stamps), stamps, trusted):
             self.solver.watch()
         if estimate is not None:
-            self._report_prediction(samples, carrying(estimate, payload))
+            self._report_prediction(samples, with_payload(estimate, payload))
 
     def _check(self) -> None:
         """Add the new samples to the checks of the whole recording."""

@@ -14,7 +14,7 @@ from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.model.robot import Body, Robot
 from geomid_ros.types import FloatArray, frozen
 
-OWN_SPREAD = 0.04
+ALIKE_PRIOR_STD = 0.04
 """Default prior std (geodesic) of a part about those alike: a fifth of that of a link about its CAD file. Links of a
 URDF that are farther apart than this are not alike."""
 _REVOLUTE = "JointModelR"  # prefix of the names of pinocchio's revolute joints, about any axis
@@ -60,7 +60,7 @@ def _parts(model: pin.Model, bodies: Sequence[Body], group: Sequence[tuple[int, 
     )
 
 
-def said_alike(groups: Sequence[AlikeParts]) -> Iterator[str]:
+def alike_sentences(groups: Sequence[AlikeParts]) -> Iterator[str]:
     """Yield a sentence that lists the alike links, if there are any."""
     named = [", ".join(group.names) + " (motors of one type)" * group.motors for group in groups]
     if named:
@@ -97,12 +97,14 @@ def _are_alike(model: pin.Model, first: Body, second: Body, mirror: FloatArray) 
     matrices = pseudo_inertia.from_parameters(np.array([first.parameters, second.parameters]))
     matrices[0] *= np.outer(signs, signs)
     points = (ONE_BODY.point(pseudo_inertia.to_parameters(matrix)) for matrix in matrices)
-    if ONE_BODY.distance(*points) > OWN_SPREAD:
+    if ONE_BODY.distance(*points) > ALIKE_PRIOR_STD:
         return False
     origins = [[p.translation for p in _carried(model, body.joint)] for body in (first, second)]
     if len(origins[0]) != len(origins[1]):
         return False
-    return all(np.linalg.norm(mirror * a - b) <= OWN_SPREAD * np.linalg.norm(b) for a, b in zip(*origins, strict=True))
+    return all(
+        np.linalg.norm(mirror * a - b) <= ALIKE_PRIOR_STD * np.linalg.norm(b) for a, b in zip(*origins, strict=True)
+    )
 
 
 def _carried(model: pin.Model, joint: int) -> list[pin.SE3]:

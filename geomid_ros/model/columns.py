@@ -112,7 +112,7 @@ class Entries:
         """Effects whose columns depend on the past motion, by class."""
         by_class: dict[type[JointEffect], list[JointEffect]] = {}
         for function in (column.function for column in self.columns if isinstance(column, JointColumn)):
-            if isinstance(function, JointEffect) and function.remembers:
+            if isinstance(function, JointEffect) and function.depends_on_past:
                 by_class.setdefault(type(function), []).append(function)
         return by_class
 

@@ -87,7 +87,7 @@ class Legs:
         weight_per_foot = self._robot.weight / len(self.contacts)
         return np.asarray(np.linalg.norm(self.forces(samples), axis=2) / weight_per_foot)
 
-    def carried(self, samples: Samples) -> FloatArray:
+    def weight_fraction(self, samples: Samples) -> FloatArray:
         """Compute the total force of all feet against gravity ``(N,)``, as a fraction of the URDF's weight."""
         up = -self._robot.gravity / np.linalg.norm(self._robot.gravity)
         return np.asarray(np.sum(self.forces(samples), axis=1) @ up / self._robot.weight)
@@ -103,7 +103,7 @@ class Legs:
         ]
         return np.stack(per_foot, axis=1)
 
-    def turning(self, samples: Samples) -> FloatArray:
+    def base_rate(self, samples: Samples) -> FloatArray:
         """Compute the base's angular velocity ``(N, 3)`` [rad/s] in the base frame from joint motion alone, assuming
         that all feet stand; NaN where it is not determined."""
         q = self._robot.configuration(samples)[0]

@@ -33,7 +33,7 @@ from geomid_ros.model.columns import Column, Entries, column_of, entries_of, rea
 from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, SensorEffect, joint_of
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import PIECE, REST, SIGN, SMOOTH_SIGN, Samples
+from geomid_ros.model.samples import REST, SAMPLES_PER_PIECE, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray, IntArray
 
 
@@ -186,7 +186,7 @@ class MeasurementModel:
         )
         return self._replaced(loading=loading, resisting=resisting)
 
-    def with_carried(self, link: str) -> MeasurementModel:
+    def with_payload(self, link: str) -> MeasurementModel:
         """Return the model with a payload as its last body, fixed to the identified ``link`` and in its frame."""
         return self._replaced(
             identified=(*self.identified, self.identified[self.body_names.index(link)]),
@@ -291,7 +291,7 @@ class MeasurementModel:
 
     def rows(self, samples: Samples) -> Rows:
         """Compute the rows of N samples."""
-        if len(samples) <= PIECE:
+        if len(samples) <= SAMPLES_PER_PIECE:
             return Rows(*self._rows(samples))
         coefficients = np.empty((len(samples), len(self.channels), self.dimension))
         targets = np.empty((len(samples), len(self.channels)))

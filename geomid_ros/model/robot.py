@@ -56,7 +56,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Follower:
+class MimicJoint:
     """A mimic ``joint``: its position is ``factor`` times that of its master plus ``offset``. ``master`` is an index
     into :attr:`Robot.joints`."""
 
@@ -169,10 +169,10 @@ class Robot:
         masters = {joint.name: self._master(joint.name) for joint in self.tree.joints if joint.type != "fixed"}
         return frozenset([*locked, *(name for name, master in masters.items() if master and master[0] in fixed)])
 
-    def _followers(self, moving: Sequence[Joint]) -> tuple[Follower, ...]:
+    def _followers(self, moving: Sequence[Joint]) -> tuple[MimicJoint, ...]:
         masters = [(joint, self._master(joint.name)) for joint in moving]
         return tuple(
-            Follower(joint, self.joint_names.index(master[0]), *master[1:])
+            MimicJoint(joint, self.joint_names.index(master[0]), *master[1:])
             for joint, master in masters
             if master is not None
         )
@@ -212,7 +212,9 @@ class Robot:
         """Moving links that are physical parts, not just frames, but have no mass, nor have the links fixed to them."""
         groups = [self._rigid_group(head, set(self._heads)) for head in self._heads]
         weightless = [group for group in groups if self.tree.inertials.keys().isdisjoint(group)]
-        return tuple(group[0] for group in weightless if self.tree.things & {*group} or self._has_extent(group[0]))
+        return tuple(
+            group[0] for group in weightless if self.tree.physical_links & {*group} or self._has_extent(group[0])
+        )
 
     def _has_extent(self, link: str) -> bool:
         """True if a moving link supports a joint away from its joint's origin, so it is a physical part."""
@@ -357,7 +359,7 @@ class Robot:
             rows[:] = pin.computeJointTorqueRegressor(self._model, self._data, *state).reshape(rows.shape)
         rows = np.concatenate([self._joint_rows(full), full[:, :6]], axis=1) if base else self._joint_rows(full)
         regressors = np.zeros((len(q), rows.shape[1], len(self.bodies), 10))
-        selected = slice(None if base else np.count_nonzero(self.carries))
+        selected = slice(None if base else np.count_nonzero(self.supports))
         joints, bodies, moved_by, to_joints = (of_pairs[selected] for of_pairs in self._row_body_pairs)
         pairs = rows.reshape(len(q), rows.shape[1], -1, 10)[:, joints, moved_by].transpose(1, 0, 2)
         regressors[:, joints, bodies] = (pairs @ to_joints).transpose(1, 0, 2)
@@ -367,11 +369,11 @@ class Robot:
     def _row_body_pairs(self) -> tuple[AnyArray, ...]:
         """All pairs of a row and a body that affects it, joint rows before base rows: arrays of the row, the body,
         pinocchio's joint that moves the body, and the transform to that joint's frame."""
-        rows, bodies = np.nonzero(np.concatenate([self.carries, np.tile(self._moved_by >= 0, (6, 1))]))
+        rows, bodies = np.nonzero(np.concatenate([self.supports, np.tile(self._moved_by >= 0, (6, 1))]))
         return rows, bodies, self._moved_by[bodies], self._to_joints[bodies]
 
     @cached_property
-    def carries(self) -> BoolArray:
+    def supports(self) -> BoolArray:
         """True where a joint, or one of its mimic joints, moves a body ``(joints, bodies)``."""
         carries = np.zeros((len(self.joints), len(self.bodies)), dtype=np.bool_)
         moving = {joint.name: index for index, joint in enumerate(self.joints)}

@@ -18,13 +18,13 @@ from geomid_ros.model.effects import JointMotion, Motion, MotionEffect, Place
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _PAUSE = 1.5  # sampling periods
-WIDEST = np.pi
+UNLIMITED_RANGE = np.pi
 """Range to either side of zero for a joint without position limits [rad, m]."""
 ACCELERATION_PER_SPEED = 4.0
 """Ratio of acceleration to speed in typical motion [1/s]."""
-PIECE = 50
+SAMPLES_PER_PIECE = 50
 """Number of samples per piece, so that their rows and other results need little memory."""
-STILL = 0.01
+REST_SPEED = 0.01
 """Speed below which friction is not a function of speed [rad/s or m/s]. (The node's ``still_speed`` is another
 threshold: below it all samples of a pose carry the same information.)"""
 # At a reversal friction depends on the past. In a sample that counts as one-way motion, the joint may be at rest for
@@ -142,9 +142,9 @@ class Samples:
         return copy
 
     def in_pieces(self) -> Iterator[Samples]:
-        """Yield pieces of at most :data:`PIECE` samples, to limit memory; at least one piece, which may be empty."""
-        for begin in range(0, max(len(self), 1), PIECE):
-            yield self.select(slice(begin, begin + PIECE))
+        """Yield pieces of at most :data:`SAMPLES_PER_PIECE` samples, to limit memory; at least one, perhaps empty."""
+        for begin in range(0, max(len(self), 1), SAMPLES_PER_PIECE):
+            yield self.select(slice(begin, begin + SAMPLES_PER_PIECE))
 
     def with_columns(self, chosen: Collection[Column]) -> Samples:
         """Return the samples with only the ``chosen`` effect columns."""
@@ -162,7 +162,7 @@ class Samples:
         }
         return replace(self, **arrays, effects=np.concatenate([self.effects[:, :0], *effects], axis=1), entries=entries)
 
-    def stretches(self) -> list[Samples]:
+    def segments(self) -> list[Samples]:
         """Split into parts at pauses: steps longer than 1.5 times the median step."""
         steps = np.diff(self.stamps)
         ends = np.flatnonzero(steps > _PAUSE * np.median(steps)) + 1 if len(steps) else steps
@@ -183,8 +183,8 @@ def random_states(
     random: np.random.Generator, count: int, limits: FloatArray, velocity: FloatArray, acceleration: FloatArray
 ) -> FloatArray:
     """Draw random positions, velocities and accelerations ``(3, count, J)``: positions within ``limits (J, 2)`` and
-    +-:data:`WIDEST`, the others up to ``velocity (J,)`` and ``acceleration (J,)`` in either direction."""
-    lower, upper = np.clip(limits, -WIDEST, WIDEST).T
+    +-:data:`UNLIMITED_RANGE`, the others up to ``velocity (J,)`` and ``acceleration (J,)`` in either direction."""
+    lower, upper = np.clip(limits, -UNLIMITED_RANGE, UNLIMITED_RANGE).T
     position = random.uniform(lower, upper, (count, len(lower)))
     return np.array([position, *(random.uniform(-1.0, 1.0, (2, *position.shape)) * [[velocity], [acceleration]])])
 
@@ -206,10 +206,10 @@ def samples_of(states: FloatArray, sensors: int = 0) -> Samples:
 
 
 class _Rest:
-    """1 where a joint is at rest (speed below :data:`STILL`), else 0."""
+    """1 where a joint is at rest (speed below :data:`REST_SPEED`), else 0."""
 
     def column(self, motion: JointMotion) -> FloatArray:
-        return np.asarray(np.abs(motion.velocity) < STILL, dtype=np.float64)
+        return np.asarray(np.abs(motion.velocity) < REST_SPEED, dtype=np.float64)
 
 
 @dataclass(frozen=True)

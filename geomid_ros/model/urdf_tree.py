@@ -67,14 +67,14 @@ class UrdfTree:
         links, joints: In the file's order.
         root: Root link.
         inertials: Parameters ``(10,)`` of the links with a mass, in pinocchio's order about the link frame's origin.
-        things: Links with a shape or an <inertial>; others may be mere frames.
+        physical_links: Links with a shape or an <inertial>; others may be mere frames.
     """
 
     links: tuple[str, ...]
     joints: tuple[UrdfJoint, ...]
     root: str
     inertials: dict[str, FloatArray]
-    things: frozenset[str]
+    physical_links: frozenset[str]
 
     def children(self, link: str) -> list[UrdfJoint]:
         """Return the child joints of ``link``."""

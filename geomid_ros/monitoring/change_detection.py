@@ -53,13 +53,13 @@ class ChannelGap:
     """State of a monitored channel.
 
     ``times_floor``: RMS of its last residuals in units of the noise floor; ``since``: stamp [ns] since which there is a
-    gap, None if there is none; ``first``: index of the sample at that stamp.
+    gap, None if there is none; ``first_sample``: index of the sample at that stamp.
     """
 
     channel: str
     times_floor: float
     since: int | None
-    first: int = 0
+    first_sample: int = 0
 
 
 class ChangeDetector:
@@ -107,7 +107,7 @@ class ChangeDetector:
         self._waiting.extend(zip(indices, stamps.tolist(), rows.coefficients, rows.targets, strict=True))
         return len(self._waiting) >= PART
 
-    def judge(self) -> bool:
+    def test(self) -> bool:
         """Test rows up to the end of the next block. Return True if there were enough of them."""
         while len(self._waiting) >= PART:
             self._parts.append(self._next())
@@ -128,7 +128,7 @@ class ChangeDetector:
             return
         retained = float(np.exp(-1e-9 * float(part.stamps[-1] - part.stamps[0]) / self._forgetting_time))
         noise = [channel.noise for channel in self._channels]
-        if self.payload.judge(*part, noise, retained):
+        if self.payload.update(*part, noise, retained):
             self._disturbed = True
             began = part.first if self.payload.carried is None else self.payload.carried.first
             for channel in self._channels:
@@ -146,11 +146,11 @@ class ChangeDetector:
     @property
     def changes(self) -> list[tuple[int, int]]:
         """Stamps [ns] and sample indices since which gaps are open or a payload is carried."""
-        changes = [(gap.since, gap.first) for gap in self.gaps if gap.since is not None]
+        changes = [(gap.since, gap.first_sample) for gap in self.gaps if gap.since is not None]
         carried = None if self.payload is None else self.payload.carried
         return changes if carried is None else [*changes, (carried.since, carried.first)]
 
-    def normal(self, channels: Sequence[int]) -> int:
+    def unchanged_before(self, channels: Sequence[int]) -> int:
         """Return the index of the sample before which these channels are known to be unchanged.
 
         Later rows are untested, suspect, or in an open gap. An unconfirmed suspicion is forgotten after some blocks, so
@@ -360,7 +360,7 @@ def changed_sensors(gaps: Sequence[ChannelGap], model: MeasurementModel) -> dict
         may have changed.
     """
     mounted = _channels_by_topic(model)
-    first = {gap.channel: gap.first for gap in gaps if gap.since is not None}
+    first = {gap.channel: gap.first_sample for gap in gaps if gap.since is not None}
     begin = {
         topic: min(first[name] for name in names if name in first) - LATE
         for topic, names in mounted.items()

@@ -46,7 +46,7 @@ class Noise(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
+class CarriedPayload:
     """Payload of a ``link``, in the link's frame.
 
     ``parameters (10,)`` and their ``covariance``; ``columns``: of the link in the model; ``since``: stamp [ns] since
@@ -77,7 +77,7 @@ class Carried:
         return result
 
 
-def carrying(estimate: Estimate, carried: Carried | None) -> Estimate:
+def with_payload(estimate: Estimate, carried: CarriedPayload | None) -> Estimate:
     """Return an estimate with the payload added, for predictions."""
     return estimate if carried is None else replace(estimate, parameters=carried.added(estimate.parameters))
 
@@ -152,7 +152,7 @@ class _Baseline:
     def learn(self, products: FloatArray, share: float) -> FloatArray:
         """Learn from rows; those before keep a ``share`` of their weight. Return the step of the mean."""
         self.information *= share
-        step = definite.solved_anyway(self.whole(products), products[:-1, -1])
+        step = definite.solve_or_least_squares(self.whole(products), products[:-1, -1])
         self.information += products[:-1, :-1]
         self.mean += step
         return step
@@ -161,7 +161,7 @@ class _Baseline:
         """``[[H h], [h' S]] (11, 11)`` of rows; and the same for the channel's effects, ``(k + 1, k + 1)``."""
         kept = np.concatenate([self._effects, self.body, [len(self.columns)]])
         right = products[:-1, kept]
-        total = products[np.ix_(kept, kept)] - right.T @ definite.solved_anyway(self.whole(products), right)
+        total = products[np.ix_(kept, kept)] - right.T @ definite.solve_or_least_squares(self.whole(products), right)
         count, rest = len(self._effects), len(self._effects) + np.arange(SIZE + 1)
         effects_only = np.append(np.arange(count), rest[-1])
         return total[count:, count:], total[np.ix_(effects_only, effects_only)]
@@ -177,10 +177,10 @@ class PayloadWatch:
         columns: slice,
         links: int,
         *,
-        usual: FloatArray,
-        spread: float,
+        prior_mean: FloatArray,
+        prior_std: float,
         gain: float,
-        surprise: float,
+        threshold: float,
     ) -> None:
         """
         Args:
@@ -188,26 +188,26 @@ class PayloadWatch:
             link: that may carry a payload.
             columns: of the link in the model.
             links: number of columns of links; effects follow.
-            usual: payload ``(10,)`` at the centre of the prior.
-            spread: prior standard deviation, a geodesic distance.
+            prior_mean: payload ``(10,)`` at the centre of the prior.
+            prior_std: prior standard deviation, a geodesic distance.
             gain: relative standard deviation of the common gain of efforts.
-            surprise: log evidence at which a payload is accepted or dropped.
+            threshold: log evidence at which a payload is accepted or dropped.
         """
         self._link, self._columns = link, columns
         self._gain = gain
         self._baselines = [_Baseline(channel, columns, links) for channel in channels]
         self._depends = [len(baseline.body) == SIZE for baseline in self._baselines]
-        self._prior = ONE_BODY.point(usual)
-        self._precision = 1.0 / spread**2
-        self._surprise = surprise
+        self._prior = ONE_BODY.point(prior_mean)
+        self._precision = 1.0 / prior_std**2
+        self._surprise = threshold
         self._recent: deque[tuple[_Block, FloatArray | None]] = deque()  # with the payload that was known before
         self._loaded: _Block | None = None  # sum since the payload is carried
         self._noise: Sequence[Noise] = ()
         self._share = 1.0  # weight that rows learned so far keep after newer rows without a payload
-        self.carried: Carried | None = None
+        self.carried: CarriedPayload | None = None
         """Present payload; None if there is none."""
 
-    def judge(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[Noise], share: float) -> bool:
+    def update(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[Noise], retained: float) -> bool:
         """Take a block of rows. Return True if a payload was picked up or put down in it.
 
         Args:
@@ -215,11 +215,11 @@ class PayloadWatch:
             stamps: ``(N,)`` [ns].
             rows: of the ``N`` samples; uninformative targets are NaN.
             noise: of each channel.
-            share: fraction of their weight that earlier rows keep.
+            retained: fraction of their weight that earlier rows keep.
         """
         if self.carried is None:
             self._noise = noise
-            self._share *= share
+            self._share *= retained
         measured = usable(rows.coefficients, rows.targets)
         products = tuple(
             baseline.products(rows.coefficients[used, index], rows.targets[used, index])
@@ -310,7 +310,9 @@ class PayloadWatch:
         self._loaded = loaded
         body = fit.point.parameters
         covariance = fit.covariance + self._gain**2 * np.outer(body, body)
-        self.carried = Carried(self._link, self._columns, frozen(body), frozen(covariance), loaded.stamp, loaded.first)
+        self.carried = CarriedPayload(
+            self._link, self._columns, frozen(body), frozen(covariance), loaded.stamp, loaded.first
+        )
 
     def _drop(self) -> bool:
         """Drop the payload if the last rows are likelier without it."""
@@ -354,7 +356,7 @@ def _fit_payload(likelihood: _Likelihood, prior: Point, precision: float, point:
         jacobian = point.links_jacobian[0]
         hessian = jacobian.T @ likelihood.information @ jacobian
         slope = jacobian.T @ (likelihood.slope - likelihood.information @ point.parameters) + precision * away
-        step = definite.solved_anyway(hessian + precision * curvature[0], slope)
+        step = definite.solve_or_least_squares(hessian + precision * curvature[0], slope)
         length = float(np.linalg.norm(step))
         if length < SETTLED:
             break

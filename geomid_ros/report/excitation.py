@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
-from geomid_ros.excitation.knowledge import Expected
+from geomid_ros.excitation.knowledge import ExpectedUncertainty
 from geomid_ros.files.disk import make_folder, write_json
 from geomid_ros.files.models.estimate_file import by_channel
-from geomid_ros.files.schema import FORMAT, entry
+from geomid_ros.files.schema import FORMAT, attributes_entry
 from geomid_ros.files.trajectories import write_bag, write_csv, write_yaml
 from geomid_ros.model.collision import HalfSpace, Obstacle
 from geomid_ros.model.robot import Robot
@@ -56,7 +56,7 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
         "used": {kind: by_channel(feasibility.names, getattr(margins, kind)) for kind in kinds},
         "to_position_limit": by_channel(feasibility.names, margins.position),
         "distances": [
-            entry(pair, "first", "second") | {"at_least": float(distance), "clearance": float(clearance)}
+            attributes_entry(pair, "first", "second") | {"at_least": float(distance), "clearance": float(clearance)}
             for pair, distance, clearance in zip(pairs, margins.distance, feasibility.clearances, strict=True)
         ],
         "not_watched": [[pair.first, pair.second] for pair in found.task.not_watched],
@@ -71,14 +71,14 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
             }
             for name, stage in stages.items()
         },
-        "decisions": [entry(each, "found", "rival", "difference", "random") for each in found.decisions],
+        "decisions": [attributes_entry(each, "found", "rival", "difference", "random") for each in found.decisions],
         "notes": list(found.task.notes),
     }
 
 
-def _effects(design: Excitation, stage: Expected) -> list[dict[str, Any]]:
+def _effects(design: Excitation, stage: ExpectedUncertainty) -> list[dict[str, Any]]:
     return [
-        entry(effect, "name", "place", "parameter") | {"std": float(std)}
+        attributes_entry(effect, "name", "place", "parameter") | {"std": float(std)}
         for effect, std in zip(design.task.knowledge.posterior.effects, stage.effects, strict=True)
     ]
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from geomid_ros.files.models.gap_file import GapFile
 from geomid_ros.gap.judgement.held_out import GAP_ABOVE
-from geomid_ros.gap.result import Finding, GapResult, Located
+from geomid_ros.gap.result import Finding, GapResult, ResidualDependence
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import KnownEffect
@@ -251,7 +251,7 @@ def _channels_to_draw(result: GapResult) -> list[int]:
     return list(dict.fromkeys(named + everywhere))[:_MOST_CHANNELS]
 
 
-def _located(result: GapResult) -> list[Located]:
+def _located(result: GapResult) -> list[ResidualDependence]:
     """Fractions of the gap that variables explain, for channels where corrected inertias leave a gap."""
     gaps = dict(zip(result.channels, result.gap.inertias_only, strict=True))
     return [

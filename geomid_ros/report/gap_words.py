@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import TOLD
+from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.gap.judgement.held_out import GAP_ABOVE
 from geomid_ros.gap.result import Confidence, Finding, GapResult, LinkChange, Ranked, Rival, Unexplained
@@ -174,13 +174,13 @@ def _missing(remainders: Sequence[tuple[str, float, str]]) -> str:
     return f"{where}, which depends on {remainders[0][2]}" if len(remainders) == 1 else where
 
 
-def of_every_joint(result: GapResult) -> list[str]:
+def common_effects(result: GapResult) -> list[str]:
     """List the effects in the written model that every joint has, in a sentence; empty if there are none."""
     kinds = ", ".join(dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary))
     return [f"Also written, as every joint has them: {kinds} (values in effects.yaml)."] if kinds else []
 
 
-def in_short(result: GapResult) -> list[str]:
+def summary(result: GapResult) -> list[str]:
     """Summarise the result in at most four sentences after the verdict: sure effects with their sizes, possible
     effects, the unexplained remainder, and the next recording."""
     gains = _common_gain(result)
@@ -193,7 +193,7 @@ def in_short(result: GapResult) -> list[str]:
         phrase = f"efforts of all joints {low:.3g} to {high:.3g} times as large"
         lines.insert(0, ("confident" if sure else "tentative", phrase))
     rest = [f"{joint} {ratio(times)} times the floor, depends on {on}" for joint, times, on in not_explained(result)]
-    record = to_record(result)
+    record = next_recordings(result)
     sentences = {
         "Sure": _few([phrase for confidence, phrase in lines if confidence == "confident"]),
         "Possible": _few([phrase for confidence, phrase in lines if confidence != "confident"]),
@@ -212,7 +212,7 @@ def _common_gain(result: GapResult) -> list[Finding]:
         return []
     values, weights = np.array([gain.value for gain in gains]), 1.0 / np.square([gain.std for gain in gains])
     deviations = np.abs(values - np.average(values, weights=weights)) * np.sqrt(weights)
-    return list(by_joint.values()) if np.all(deviations < TOLD) else []
+    return list(by_joint.values()) if np.all(deviations < SIGNIFICANT_STDS) else []
 
 
 def _few(parts: Sequence[str]) -> str:
@@ -261,7 +261,7 @@ def _listed(parts: Sequence[str]) -> str:
     return ", ".join(parts[:-1]) + (" and " if len(parts) > 1 else "") + "".join(parts[-1:])
 
 
-def to_record(result: GapResult) -> list[str]:
+def next_recordings(result: GapResult) -> list[str]:
     """List the motions to record next, each with its purpose; empty if nothing is open."""
     purposes: dict[str, list[str]] = {}
     for finding in result.findings:

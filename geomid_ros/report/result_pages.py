@@ -169,7 +169,7 @@ def write_identification_page(path: Path, file: EstimateFile, series: Sequence[S
         "shares": {(effect.name, effect.joint): effect.from_data for effect in effects},
         "open": [link for link in links if link.cannot_tell or link.outlier],
         "cannot_tell": cannot_tell,
-        "telling": {name: telling(motions) for name, motions in file.telling.items()},
+        "telling": {name: suggested_motions(motions) for name, motions in file.telling.items()},
         "weak": [(effect, effect_class(effect.name).settled_by) for effect in effects if effect.from_data < WEAK],
         "traces": traces(series),
         "script": Script.read(SCRIPT),
@@ -251,7 +251,7 @@ def grouped(quantities: Sequence[str]) -> str:
     return ", ".join(parts)
 
 
-def telling(motions: Mapping[str, Sequence[str]]) -> list[str]:
+def suggested_motions(motions: Mapping[str, Sequence[str]]) -> list[str]:
     """List the motions that would identify the open quantities of a link, in sentences.
 
     Args:

@@ -24,7 +24,7 @@ from geomid_ros.resimulation.resimulate import (
     root_mean_square,
     stretches,
 )
-from geomid_ros.resimulation.written_robot import FLOATING, WrittenRobot, loaded_robots
+from geomid_ros.resimulation.written_robot import FLOATING_BASE_REASON, WrittenRobot, loaded_robots
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -144,7 +144,7 @@ def _prepared(
     Raises NotSimulatedError.
     """
     if model.robot.floating_base:
-        raise NotSimulatedError(FLOATING)
+        raise NotSimulatedError(FLOATING_BASE_REASON)
     parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
     if not parts:
         raise NotSimulatedError("commands and measurements do not overlap in time")
@@ -260,5 +260,5 @@ def _driving(
     commanded = _effort(part, controller, samples.position, samples.velocity)
     effort, feedforward = (interpolated(times, values, middles) for values in (commanded, part.feedforward))
     motion = motion_at(part.stretch, middles)
-    controlled = feedforward + controller.constant + setpoints - robot.unsaid_friction(effort, motion)
+    controlled = feedforward + controller.constant + setpoints - robot.sidecar_friction(effort, motion)
     return np.where(controller.found, controlled, robot.prescribed_effort(motion.acceleration))

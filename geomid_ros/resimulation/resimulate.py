@@ -16,7 +16,7 @@ from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.written_robot import FLOATING, WrittenRobot, loaded_robots
+from geomid_ros.resimulation.written_robot import FLOATING_BASE_REASON, WrittenRobot, loaded_robots
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -121,7 +121,7 @@ def stretches(recordings: Iterable[Samples]) -> list[Stretch]:
         period = 1e-9 * float(np.median(np.diff(samples.stamps))) if len(samples) > 1 else 0.0
         result += [
             Stretch(part, 1e-9 * (part.stamps - part.stamps[0]), period)
-            for part in samples.stretches()
+            for part in samples.segments()
             if len(part) * period >= 2.0 * HORIZON
         ]
     return result
@@ -354,7 +354,7 @@ def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: Wr
 
 def _why_not(model: MeasurementModel, recordings: Sequence[Samples]) -> str:
     if model.robot.floating_base:
-        return FLOATING
+        return FLOATING_BASE_REASON
     if any(sensor.role == "external" for sensor in model.sensors):
         return "external loads act on the robot, which the written models do not contain"
     if not stretches(recordings):

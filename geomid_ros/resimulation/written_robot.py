@@ -115,9 +115,9 @@ class WrittenRobot:
             for name, values in written.items():
                 getattr(model, name)[:] = values
 
-    def expect_load(self, true_effort: FloatArray) -> None:
+    def set_mean_load(self, true_effort: FloatArray) -> None:
         """Set the load friction of a joint at rest to that of its mean load in ``true_effort (N, J)``. Deviations of
-        the momentary load are in :meth:`unsaid_friction`."""
+        the momentary load are in :meth:`sidecar_friction`."""
         self._mean_load = np.nan_to_num(np.mean(np.abs(true_effort), axis=0))
         self.model.dof_frictionloss[self.dofs] += self._load_friction * self._mean_load
 
@@ -134,11 +134,11 @@ class WrittenRobot:
     def driving_effort(self, true_effort: FloatArray, motion: Motion) -> FloatArray:
         """Efforts ``(..., J)`` that drive the joints in MuJoCo: the motors' true efforts minus the friction in this
         motion that the MJCF lacks, ``(..., J)`` each."""
-        friction = self.unsaid_friction(true_effort, motion)
+        friction = self.sidecar_friction(true_effort, motion)
         prescribed = self.prescribed
         return np.where(prescribed, self.prescribed_effort(motion.acceleration), true_effort - friction)
 
-    def unsaid_friction(self, true_effort: FloatArray, motion: Motion) -> FloatArray:
+    def sidecar_friction(self, true_effort: FloatArray, motion: Motion) -> FloatArray:
         """Friction ``(..., J)`` that only the sidecar contains: the decrease of Stribeck friction with speed, the
         friction by load, and other functions of the motion.
 
@@ -149,7 +149,7 @@ class WrittenRobot:
         sign = SMOOTH_SIGN.values(motion)
         by_motion = np.zeros(velocity.shape)
         for effect, place, values in self._motion_effects:
-            by_motion += effect.unsaid_efforts(values, motion, place)
+            by_motion += effect.efforts_not_in_mjcf(values, motion, place)
         model, dofs = self.model, self.dofs
         dry = model.dof_frictionloss[dofs] - self._load_friction * self._mean_load
         other = model.dof_damping[dofs] * velocity + dry * sign + by_motion
@@ -229,7 +229,7 @@ class WrittenRobot:
         return states[:, :, 1 + self.dofs], states[:, :, 1 + model.nq + self.dofs], sensed
 
 
-FLOATING = "the base floats, and its motion cannot be simulated without its contacts"
+FLOATING_BASE_REASON = "the base floats, and its motion cannot be simulated without its contacts"
 """Reason why a robot with a floating base is not simulated."""
 
 
@@ -237,7 +237,7 @@ def loaded_robots(files: Sequence[ModelFiles], joints: Sequence[str], measured: 
     """Load robots from ``files``, with friction by the load of ``measured`` efforts ``(N, J)``. Raises InputError."""
     robots = [WrittenRobot(model_files, joints) for model_files in files]
     for robot in robots:
-        robot.expect_load(robot.true_effort(measured))
+        robot.set_mean_load(robot.true_effort(measured))
     return robots
 
 

@@ -41,7 +41,7 @@ class Console:
         """Log an error."""
         self._log.error(one_line(message))
 
-    def tell(self, complaints: Sequence[Complaint]) -> None:
+    def log_complaints(self, complaints: Sequence[Complaint]) -> None:
         """Take the complaints of the present diagnostics, and log those that last."""
         kinds = {_kind(item.sentence): item for item in complaints}
         for error in (True, False):
@@ -52,7 +52,7 @@ class Console:
                 self._remember(new)
         self._before = set(kinds)
 
-    def tell_news(self, sentences: Iterable[str]) -> None:
+    def log_events(self, sentences: Iterable[str]) -> None:
         """Log news."""
         for sentence in sentences:
             if self._was_long_ago(_kind(sentence)):

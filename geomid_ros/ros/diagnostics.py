@@ -20,7 +20,7 @@ from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Status
 from geomid_ros.model.channels import is_of
 from geomid_ros.monitoring.change_detection import ChannelGap
-from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.report.gap_words import not_explained
 from geomid_ros.signals.ledger import Account, meaning_of
 from geomid_ros.signals.messages import JOINT_STATES
@@ -230,7 +230,7 @@ def _search(name: str, search: SearchStatus[FoundGap]) -> DiagnosticStatus:
     return status_message(name, level, search.sentence, values)
 
 
-def _payload(name: str, carried: Carried) -> DiagnosticStatus:
+def _payload(name: str, carried: CarriedPayload) -> DiagnosticStatus:
     low, high = carried.interval
     mass, *centre = pseudo_inertia.quantities_of(carried.parameters)[:4].tolist()
     values: dict[str, object] = {"link": carried.link, "mass": mass, "mass from": low, "mass to": high}

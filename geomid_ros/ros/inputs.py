@@ -140,8 +140,8 @@ class Inputs:
         self._latest: dict[str, float] = {}  # times of receipt of the last messages
         self._policies: dict[str, str] = {}  # QoS policies in which publishers were last incompatible
 
-    def listen(self, kind: type, name: str, several: bool = False) -> None:
-        """Subscribe to data, which wait until :meth:`waiting` polls them.
+    def subscribe_data(self, kind: type, name: str, several: bool = False) -> None:
+        """Subscribe to data, which wait until :meth:`poll` polls them.
 
         Args:
             kind: class of the messages.
@@ -158,18 +158,18 @@ class Inputs:
         self._inputs.append(_Input(name, subscription, several, kind))
 
     def listen_as(self, configuration: Configuration) -> None:
-        """Subscribe to the data that a configuration asks for. Raises InputError as :meth:`listen`."""
-        self.listen(JointState, JOINT_STATES, several=configuration["merge_joint_states"])
+        """Subscribe to the data that a configuration asks for. Raises InputError as :meth:`subscribe_data`."""
+        self.subscribe_data(JointState, JOINT_STATES, several=configuration["merge_joint_states"])
         if configuration.gains:
-            self.listen(JointState, COMMANDS)
+            self.subscribe_data(JointState, COMMANDS)
         if configuration["imu.frame"]:
-            self.listen(Imu, IMU)
+            self.subscribe_data(Imu, IMU)
         elif configuration.floating_base:
-            self.listen(Odometry, ODOM)
+            self.subscribe_data(Odometry, ODOM)
         for sensor in configuration.sensors:
-            self.listen(WrenchStamped, sensor.topic)
+            self.subscribe_data(WrenchStamped, sensor.topic)
 
-    def hear(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
+    def subscribe(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe to a topic other than data."""
         subscription = self._subscribe(kind, name, callback, qos)
         self._inputs.append(_Input(name, subscription, several=True))
@@ -183,7 +183,7 @@ class Inputs:
         self._numbers.clear()  # messages sent meanwhile do not count as lost
         self._policies.clear()
 
-    def waiting(self, topic: str | None = None) -> list[Received]:
+    def poll(self, topic: str | None = None) -> list[Received]:
         """Poll the data of all topics, or of one. They are serialised, as many are decoded at once, and in their order
         of arrival. Messages of topics with too many publishers are dropped."""
         entries = [entry for entry in self._inputs if entry.kind and topic in (None, entry.name)]

@@ -100,7 +100,7 @@ class GeomidNode(Managed, Node):
         if self._configuration["dashboard"]:
             self._dashboard = DashboardProcess(self.get_fully_qualified_name())
         if not self._configuration["robot_description"]:
-            self._inputs.hear(String, "robot_description", self._on_description, latched())
+            self._inputs.subscribe(String, "robot_description", self._on_description, latched())
         if not self._active:
             self._console.info("waiting for ~/start, as the parameter active is false")
         self.add_on_set_parameters_callback(self._on_set)
@@ -143,7 +143,7 @@ class GeomidNode(Managed, Node):
             return self._missing
         if not self._active:
             return STOPPED
-        self._worker.take(messages)
+        self._worker.enqueue(messages)
         return ""
 
     def _serve(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
@@ -224,7 +224,7 @@ class GeomidNode(Managed, Node):
 
     def _begin_with(self, configuration: Configuration, *, anew: bool) -> None:
         self._configuration = configuration
-        self._supervisor.use(configuration, anew=anew)
+        self._supervisor.use(configuration, rebuild=anew)
         if anew and self._configured:
             self.configure()
         if anew and self._subscribed:
@@ -281,11 +281,11 @@ class GeomidNode(Managed, Node):
 
     def _publish_diagnostics(self) -> None:
         self._supervisor.lock_absent_joints()
-        self._supervisor.restart_what_hangs()
+        self._supervisor.restart_hung_threads()
         status = self._status()
         array = self._diagnostics.array(status, self._search.status, self._supervisor.checkpoints)
-        self._console.tell(self._diagnostics.complaints)
-        self._console.tell_news(self._news.since(status))
+        self._console.log_complaints(self._diagnostics.complaints)
+        self._console.log_events(self._news.since(status))
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
 

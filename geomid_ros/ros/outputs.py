@@ -24,7 +24,7 @@ from geomid_ros.live.status import Listener
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion
-from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.session import Session, identified_urdf
 from geomid_ros.types import FloatArray
@@ -87,7 +87,7 @@ class Outputs(Listener):
         self._findings.publish(String(data=json.dumps({"format": FORMAT, **status.document}, indent=2)))
         self._node.get_logger().info(status.sentence)
 
-    def carried(self, carried: Carried | None) -> None:
+    def carried(self, carried: CarriedPayload | None) -> None:
         """Publish the payload that was picked up, and predict with it; all zeros after it was put down."""
         self._streaming.carry(carried)
         self._link = carried.link if carried is not None else self._link

@@ -20,7 +20,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from geomid_ros.api.feedforward import filled, robot_to_move
+from geomid_ros.api.feedforward import fill_efforts, robot_to_move
 from geomid_ros.api.options import FillOptions
 from geomid_ros.control.correction import LASTING, Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
@@ -89,7 +89,7 @@ class Adapting:
 
     def _begin_anew(self) -> None:
         before, self._correction = self._correction, self._new()
-        self._correction.go_on_from(before)
+        self._correction.continue_from(before)
 
     @property
     def _now(self) -> float:
@@ -166,7 +166,7 @@ class Adapting:
             self._node.get_logger().error(f"adaptation of '{self._link}' is {sentence}")
         self._said = reason
         name = f"{self._node.get_fully_qualified_name().lstrip('/')}: adaptation of {self._link}"
-        values = {"mass change": change, "delay [ms]": 1e3 * self._correction.delay.usual}
+        values = {"mass change": change, "delay [ms]": 1e3 * self._correction.delay.reference}
         array = DiagnosticArray(status=[status_message(name, level, sentence, values)])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(array)
@@ -249,7 +249,9 @@ class FeedforwardRelay:
             if self._adapting is not None:
                 self._adapting.use(self._session)
             self._log.info(f"{self._model} has changed and is read again")
-        result = filled(self._session, trajectory_of(message, "trajectory"), self._options.tolerance, "trajectory")
+        result = fill_efforts(
+            self._session, trajectory_of(message, "trajectory"), self._options.tolerance, "trajectory"
+        )
         answer = message_of(result.trajectory)
         answer.header = message.header
         self._log.info(f"{len(message.points)} points are sent on with efforts, as {len(answer.points)}")

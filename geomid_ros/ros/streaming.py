@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.stream import Predicted, Stream
-from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES
@@ -44,7 +44,7 @@ class Streaming:
         """Predict with an estimate from now on. May be called in any thread."""
         self._stream.use(session, estimate)
 
-    def carry(self, carried: Carried | None) -> None:
+    def carry(self, carried: CarriedPayload | None) -> None:
         """Predict with this payload from now on, or with none. May be called in any thread."""
         self._stream.carry(carried)
 
@@ -55,7 +55,7 @@ class Streaming:
 
     def waiting(self) -> list[Received]:
         """Return all messages that were not taken yet."""
-        messages, self._early = [*self._early, *self._inputs.waiting()], []
+        messages, self._early = [*self._early, *self._inputs.poll()], []
         return sorted(messages, key=attrgetter("time"))
 
     @property
@@ -74,7 +74,7 @@ class Streaming:
         time.sleep(max(0.0, end - time.monotonic()))
 
     def _predict(self) -> None:
-        messages, handle = self._inputs.waiting(JOINT_STATES), self._publisher.handle
+        messages, handle = self._inputs.poll(JOINT_STATES), self._publisher.handle
         self._early += messages
         try:
             for predicted in self._stream.predict([message.data for message in messages]):

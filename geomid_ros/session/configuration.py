@@ -278,7 +278,7 @@ class Configuration:
     def candidates(self) -> list[IdentifiedEffect]:
         """Effects to identify where the data require them; if any, including other shapes of the effects everywhere."""
         keys = ("effects", "candidates") if self["candidates"] else ()
-        trials = [trial for key in keys for effect in self._named(key) for trial in type(effect).trials()]
+        trials = [trial for key in keys for effect in self._named(key) for trial in type(effect).coarse_grid()]
         return [effect for effect in trials if isinstance(effect, IdentifiedEffect) and effect not in self.effects]
 
     def _named(self, key: str) -> list[IdentifiedEffect]:

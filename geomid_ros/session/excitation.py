@@ -16,28 +16,28 @@ from geomid_ros.excitation.feasibility import Feasibility, Margins
 from geomid_ros.excitation.knowledge import (
     PREDICTION,
     Belief,
-    Learning,
+    DesignComparison,
+    belief_from_estimate,
+    belief_from_urdf,
+    error_description,
     expected_learning,
-    known_before,
-    meaning_of,
-    prior_knowledge,
     weight_of,
 )
-from geomid_ros.excitation.limits import MotionLimits, motion_limits, starts
+from geomid_ros.excitation.limits import MotionLimits, motion_limits, start_postures
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm, Trajectory
 from geomid_ros.excitation.rivals import (
     DECIDED,
     Ambiguity,
     DiscriminationCriterion,
-    Name,
+    NamedEffect,
     coefficients_of,
-    deciding_motion,
+    discriminating_motion,
 )
-from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
+from geomid_ros.excitation.search import Search, expected_error, random_feasible, typical_motions
 from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.gap_file import OpenFinding, read_open_findings
-from geomid_ros.files.models.posterior import beside, read_posterior
+from geomid_ros.files.models.posterior import posterior_path, read_posterior
 from geomid_ros.files.parameter_file import read_joint_limits
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.model.channels import is_wrench_channel
@@ -119,7 +119,7 @@ class Excitation:
     error: str
     motion: ExcitingMotion
     margins: Margins
-    learning: Learning
+    learning: DesignComparison
     decisions: tuple[Decision, ...] = ()
 
     @property
@@ -159,7 +159,9 @@ def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionO
         InputError: something is missing, or no start is feasible.
     """
     if earlier := str(configuration["model"]):
-        beside(Path(earlier))  # a gap's estimate has none; its identified.urdf has links that were not identified
+        posterior_path(
+            Path(earlier)
+        )  # a gap's estimate has none; its identified.urdf has links that were not identified
     session = Session(urdf, configuration, str(source))
     robot, model = session.robot, _model_of(session)
     if robot.floating_base or not model.layout.efforts:
@@ -172,7 +174,7 @@ def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionO
     feasibility, unwatched = _feasibility(knowledge, limits, collision, wish)
     notes = [*limits.notes, "" if collision else NOT_LOOKED, not_watched(unwatched), *robot.repaired.values()]
     slow = _SLOW_SHARE.get(wish.aim, _SLOW_SHARE[PREDICTION])
-    form = MotionForm(period=wish.duration / wish.repeats, slow_share=slow, repeats=wish.repeats)
+    form = MotionForm(period=wish.duration / wish.repeats, slow_fraction=slow, repeats=wish.repeats)
     return DesignTask(
         feasibility=feasibility,
         knowledge=knowledge,
@@ -186,9 +188,9 @@ def _model_of(session: Session) -> MeasurementModel:
     """The session's model with the effects of an earlier estimate, or else with the effects that every place has."""
     model = session.model
     if session.loaded.source:
-        posterior = read_posterior(beside(Path(session.loaded.source)))
+        posterior = read_posterior(posterior_path(Path(session.loaded.source)))
         identified = {(effect.name, effect.place, effect.parameter, effect.positive) for effect in posterior.effects}
-        in_shape = session.loaded.in_its_shape(model)
+        in_shape = session.loaded.shape_mask(model)
         chosen = [
             index
             for index, (c, is_in_shape) in enumerate(zip(model.coefficients, in_shape.tolist(), strict=True))
@@ -199,7 +201,7 @@ def _model_of(session: Session) -> MeasurementModel:
 
 
 def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) -> Belief:
-    prior = prior_knowledge(model, limits)
+    prior = belief_from_urdf(model, limits)
     if not session.loaded.source:
         return prior
     measured = EstimateFile.read(Path(session.loaded.source)).sigma
@@ -208,7 +210,9 @@ def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) 
         sigma if sigma and math.isfinite(sigma) else default
         for sigma, default in zip(sigmas, prior.sigmas.tolist(), strict=True)
     ]
-    return known_before(model, read_posterior(beside(Path(session.loaded.source))), known_sigmas, session.loaded.source)
+    return belief_from_estimate(
+        model, read_posterior(posterior_path(Path(session.loaded.source))), known_sigmas, session.loaded.source
+    )
 
 
 def _feasibility(
@@ -220,7 +224,7 @@ def _feasibility(
         raise InputError(
             f"--start has {len(wish.start)} numbers, expected {len(names)}: those of {', '.join(names)} [rad, m]"
         )
-    candidates = [np.array(wish.start)] if wish.start else list(starts(limits))
+    candidates = [np.array(wish.start)] if wish.start else list(start_postures(limits))
     unwatched = without_touching(collision, candidates[0]) if collision is not None else ()
     errors = []
     for start in candidates:
@@ -245,21 +249,21 @@ def design(task: DesignTask, wish: MotionOptions) -> Excitation:
     """Search for a motion, and predict its benefit."""
     random, feasibility = np.random.default_rng(wish.seed), task.feasibility
     discrimination, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, Path(wish.settle))
-    others = other_motions(feasibility, task.form, random, _OTHERS)
+    others = typical_motions(feasibility, task.form, random, _OTHERS)
     weight = weight_of(wish.aim, task.knowledge, others)
     criterion = expected_error(feasibility, weight, task.form)
     searching = partial(wish.progress, "searching")
     if discrimination is None:
         motion = Search(feasibility, task.form, criterion).run(random, searching)
     else:
-        motion = deciding_motion(feasibility, task.form, discrimination, random, searching)
+        motion = discriminating_motion(feasibility, task.form, discrimination, random, searching)
     wish.progress("comparing", 0.0)
     randoms = [random_feasible(feasibility, task.form, random) for _ in range(_COMPARED)]
     learning = expected_learning(task.knowledge, weight, motion, randoms)
     decisions = () if discrimination is None else tuple(_decisions(discrimination, labels, motion, randoms))
     return Excitation(
         task=task,
-        error=meaning_of(wish.aim),
+        error=error_description(wish.aim),
         motion=motion,
         margins=feasibility.margins(motion),
         learning=learning,
@@ -288,7 +292,7 @@ def open_questions(feasibility: Feasibility, path: Path) -> tuple[Discrimination
     before = feasibility.knowledge
     model = before.model.without_effects()
     _refuse_other_robot(model, floor, path)
-    knowledge = prior_knowledge(model, feasibility.limits)
+    knowledge = belief_from_urdf(model, feasibility.limits)
     names = [channel.name for channel in model.channels]
     sigmas = [floor.get(name) or default for name, default in zip(names, knowledge.sigmas.tolist(), strict=True)]
     knowledge = replace(knowledge, sigmas=frozen(sigmas))
@@ -311,7 +315,7 @@ def _ambiguity(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
     return Ambiguity(name, _coefficients(entry, name), tuple(rivals))
 
 
-def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> Name:
+def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> NamedEffect:
     """Name of the found effect; of its variants, the one with the constants that were found comes first."""
     any_of = _any(model, finding.effect, finding.joint, finding.link)
     if isinstance(any_of.place, OnLink):
@@ -320,24 +324,24 @@ def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> Name:
     return replace(any_of, variants=(chosen, *(variant for variant in any_of.variants if variant != chosen)))
 
 
-def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Name:
+def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> NamedEffect:
     """An effect with any of its constants, at the place that files call ``joint``."""
     cls = effect_class(effect)
-    variants = cls.variants()
+    variants = cls.grid()
     places = {model.places.link(place) or model.places.name(place): place for place in model.places.of(variants[0])}
     place = places[link] if link in places else model.places.named(variants[0], joint)
     location = link or joint
     label = f"{cls.label} at {location}" if location else cls.label
-    return Name(variants, place, label, _parameter_count(variants[0], place))
+    return NamedEffect(variants, place, label, _parameter_count(variants[0], place))
 
 
 def _parameter_count(effect: Effect, place: Place) -> float:
     """Number of parameters that an effect counts for; for a payload, those that sentences state, without inertia."""
     terms = Candidate.of(effect, place).terms
-    return float(len(terms) + bool(effect.scanned)) if terms else float(effect.said_first or 0)
+    return float(len(terms) + bool(effect.grid_value)) if terms else float(effect.said_first or 0)
 
 
-def _coefficients(finding: KnownEffect, name: Name) -> FloatArray:
+def _coefficients(finding: KnownEffect, name: NamedEffect) -> FloatArray:
     values = values_of(finding)
     if isinstance(name.place, OnLink):
         return payload_parameters(values)

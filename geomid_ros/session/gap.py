@@ -15,11 +15,17 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.posterior import POSTERIOR, check_of, places_in, read_posterior, read_remainder
+from geomid_ros.files.models.posterior import (
+    POSTERIOR,
+    check_matches_estimate,
+    places_in,
+    read_posterior,
+    read_remainder,
+)
 from geomid_ros.gap.candidates import library_columns
-from geomid_ros.gap.evidence.features import StandingRemainder
+from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.workflow import CUTOFF, find_gap, lacking, left_by_model
+from geomid_ros.gap.workflow import CUTOFF, find_gap, remainder_of_model, residual_rms
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -110,7 +116,7 @@ def _filtered_at(session: Session, cutoff: float) -> SignalSettings:
     return replace(session.configuration.signals(session.robot.joint_names), cutoff=cutoff)
 
 
-def find(session: Session, recordings: Recordings, standing: StandingRemainder | None, progress: Progress) -> GapResult:
+def find(session: Session, recordings: Recordings, standing: KnownRemainder | None, progress: Progress) -> GapResult:
     """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model, the information on it, and its remainder
     in the recordings that it was identified from: ``standing``.
 
@@ -118,12 +124,12 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
         InputError: the recordings are too short, without motion or without anything measured, or the robot stands on
             its legs and the model has effects that depend on loads.
     """
-    if session.model.legs and session.loaded.beside_coefficients:
+    if session.model.legs and session.loaded.situational_effects:
         raise InputError(
             f"{session.loaded.not_predicted}. On legs that stand, the ground loads the joints, too, and gaps cannot be "
             "found beside such effects; leave them out of the model"
         )
-    information, deviations = known_of(session)
+    information, deviations = prior_information(session)
     return find_gap(
         session.model,
         recordings.train,
@@ -132,15 +138,15 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
         alike=session.alike,
         nominal=session.prior,
         deviations=deviations,
-        known=information,
-        beside=session.loaded.beside_coefficients,
-        standing=standing,
+        previous=information,
+        other_effects=session.loaded.situational_effects,
+        known_remainder=standing,
         simulated=recordings.simulated,
         progress=progress,
     )
 
 
-def known_of(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
+def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
     """Information from the recordings of the session's model on its links, jointly with its effects if that was kept;
     and standard deviations ``(D,)`` apart from this information. All masses may be off by a common fraction."""
     model, loaded, prior = session.model, session.loaded, session.prior
@@ -154,9 +160,9 @@ def known_of(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
         known = OtherRecordings(information.rows, information.residuals)
     else:
         return None, deviations
-    if session.share_of_mass:
+    if session.relative_mass_std:
         masses = prior[: known.links].reshape(-1, 10) * ([1.0] * 4 + [0.0] * 6)  # gravity acts on these
-        known, _ = known.beside(session.share_of_mass * known.rows[:, : known.links] @ masses.reshape(-1, 1))
+        known, _ = known.marginalised(session.relative_mass_std * known.rows[:, : known.links] @ masses.reshape(-1, 1))
     return known, deviations
 
 
@@ -167,7 +173,7 @@ def _posterior_of(session: Session) -> Posterior | None:
     path = Path(loaded.source).with_name(POSTERIOR)
     if posterior is None and path.is_file():
         posterior = read_posterior(path)
-        check_of(posterior, path, loaded.inertias or {}, loaded.source)
+        check_matches_estimate(posterior, path, loaded.inertias or {}, loaded.source)
     return posterior if posterior is not None and {*session.model.body_names} <= {*posterior.links} else None
 
 
@@ -182,7 +188,7 @@ def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[Othe
     return known, np.where(order >= 0, prior_stds[order], np.nan)
 
 
-def standing_of(session: Session) -> StandingRemainder | None:
+def standing_of(session: Session) -> KnownRemainder | None:
     """Remainder of the session's model where it was identified. If it is not known, a note is added to the review."""
     source = session.loaded.source
     if session.loaded.known is None:
@@ -203,28 +209,28 @@ def standing_of(session: Session) -> StandingRemainder | None:
     return stored
 
 
-def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> StandingRemainder | None:
+def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> KnownRemainder | None:
     """Remainder of a session's model on the bags that it was identified from; None if they are not informative enough.
 
     Raises:
         InputError: a bag cannot be read.
     """
     cutoff, train = GapReader(session, bags, progress).train()
-    return lacking(session.model, train, cutoff, session.prior, session.loaded.beside_coefficients)
+    return remainder_of_model(session.model, train, cutoff, session.prior, session.loaded.situational_effects)
 
 
 def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
     """RMS residual of each channel ``(channels,)`` over samples, in batches, by the session's model with all of its
     effects, including elastic gears and backlash."""
-    parameters, beside = session.prior, session.loaded.beside_coefficients
+    parameters, beside = session.prior, session.loaded.situational_effects
     if parameters is None or not beside:
         return session.rms(samples, session.known_parameters)
     cutoff = float(session.configuration["filter.cutoff"])
-    return left_by_model(session.model, [Samples.concatenate(list(samples))], cutoff, parameters, beside)
+    return residual_rms(session.model, [Samples.concatenate(list(samples))], cutoff, parameters, beside)
 
 
 def find_in_messages(
-    session: Session, messages: Sequence[Accepted], standing: StandingRemainder | None, progress: Progress
+    session: Session, messages: Sequence[Accepted], standing: KnownRemainder | None, progress: Progress
 ) -> GapResult:
     """Like :func:`find`, on messages accepted by another pipeline; their last part is held out.
 
@@ -240,11 +246,11 @@ def find_in_messages(
 
 def lacking_in_messages(
     session: Session, messages: Sequence[Accepted], progress: Progress = silent
-) -> StandingRemainder | None:
+) -> KnownRemainder | None:
     """Remainder of an :func:`identified_session`'s model in its messages; None if they are not informative enough."""
     try:
         cutoff, samples = _samples_of(session, messages, progress)
-        return lacking(session.model, [samples], cutoff, session.prior, session.loaded.beside_coefficients)
+        return remainder_of_model(session.model, [samples], cutoff, session.prior, session.loaded.situational_effects)
     except (InputError, np.linalg.LinAlgError):  # the remainder is optional
         return None
 
@@ -312,7 +318,7 @@ class GapReader:
         """
         session, cutoff = self.session, gap_cutoff(self.session, self._rate(self.bags.fitted))
         # Effects in addition to the model's coefficients need columns of the library.
-        columns = library_columns(session.model) if session.loaded.beside_coefficients else session.model.columns
+        columns = library_columns(session.model) if session.loaded.situational_effects else session.model.columns
         pipelines = [session.new_pipeline(_filtered_at(session, cutoff), columns) for _ in self.bags.fitted]
         recorded = map(self._samples, self.bags.fitted, pipelines)
         return cutoff, [divided([samples], self.bags.share)[0][0] for samples in recorded]

@@ -16,12 +16,12 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart, estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.posterior import Posterior
-from geomid_ros.estimation.starting_point import USUAL_SPREAD
+from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia, identified, numbers
 from geomid_ros.files.models.posterior import places_in
 from geomid_ros.geometry.symmetric import SIZE
-from geomid_ros.inference.prior import GAIN, SPREAD_OF_PAYLOADS, usual_payload
+from geomid_ros.inference.prior import GAIN, PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import WeighedRows
@@ -62,7 +62,7 @@ class WeighedPayload(UncertainInertia):
     verdict: Verdict
 
     @property
-    def tells_moment_alone(self) -> bool:
+    def only_moment_identified(self) -> bool:
         """True if the motions identify mass times centre of mass, but not the mass."""
         return bool(self.identified_moments) and "mass" in self.cannot_tell
 
@@ -87,17 +87,17 @@ def payload_watch(session: Session, channels: Sequence[Channel], surprise: float
     if session.robot.floating_base or link not in model.body_names:
         return None
     index = model.body_names.index(link)
-    typical = usual_payload(model.nominal_inertias.reshape(-1, SIZE), index)
+    typical = default_payload(model.nominal_inertias.reshape(-1, SIZE), index)
     columns = slice(SIZE * index, SIZE * (index + 1))
     return PayloadWatch(
         channels,
         link,
         columns,
         len(model.nominal_inertias),
-        usual=typical,
-        spread=SPREAD_OF_PAYLOADS,
+        prior_mean=typical,
+        prior_std=PAYLOAD_PRIOR_STD,
         gain=configuration["payload.gain"],
-        surprise=surprise,
+        threshold=surprise,
     )
 
 
@@ -119,7 +119,7 @@ def weigh(
     model = session.model
     if link not in model.body_names:
         raise InputError(f"link '{link}' cannot carry a payload: the links that are identified are {model.body_names}")
-    carrying = model.with_carried(link)
+    carrying = model.with_payload(link)
     first = 10 * len(model.identified)
     settings = session.configuration.estimator([channel.name for channel in model.channels])
     identifier = Identifier(carrying, settings, session.configuration.buffer)
@@ -128,17 +128,17 @@ def weigh(
     for samples in loaded:
         identifier.add(samples)
     prior, known = np.full(carrying.dimension, np.nan), None
-    prior[first : first + 10] = usual_payload(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
+    prior[first : first + 10] = default_payload(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
     if isinstance(empty, Posterior):
         order, (rows, targets) = places_in(empty, carrying), empty.evidence
         prior = np.where(order >= 0, empty.prior[order], prior)
         known = WeighedRows(np.where(order >= 0, rows[:, order], 0.0), targets)
-    prior_stds = np.append(np.full(len(model.identified), USUAL_SPREAD), SPREAD_OF_PAYLOADS)
+    prior_stds = np.append(np.full(len(model.identified), DEFAULT_PRIOR_STD), PAYLOAD_PRIOR_STD)
     summary = identifier.snapshot()
-    solve = partial(estimate, carrying, settings=settings, prior=prior, spreads=prior_stds, known=known)
+    solve = partial(estimate, carrying, settings=settings, prior=prior, prior_stds=prior_stds, known=known)
     fit = solve(summary)
     with_gains = [
-        solve(rescaled, warm=WarmStart(fit.parameters, spreads=fit.spreads))
+        solve(rescaled, warm=WarmStart(fit.parameters, spreads=fit.prior_stds))
         for rescaled in _with_gain(summary, fit, gain, slice(first, first + 10))
     ]
     return _payload(link, fit, gain, with_gains, session)
@@ -150,7 +150,7 @@ def _with_gain(rows: RowSummary, fit: Estimate, gain: float, columns: slice) -> 
     already, with and without the payload."""
     change = np.zeros(len(fit.parameters))
     change[columns] = gain * fit.parameters[columns]
-    return (rows.with_more(channel, change) for channel in range(len(rows.channels)) if gain > 0.0)
+    return (rows.with_added_prediction(channel, change) for channel in range(len(rows.channels)) if gain > 0.0)
 
 
 def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate], session: Session) -> WeighedPayload:
@@ -162,7 +162,7 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
     systematic = _gain_std(np.array(bodies).reshape(-1, len(values)) - values)
     if link == session.robot.tree.root:  # elsewhere its moments distinguish a payload from the whole robot's mass
         robot = sum(other.mass for other in fit.links[:-1])
-        heavier = body.parameters + np.append(session.share_of_mass * robot, np.zeros(9))
+        heavier = body.parameters + np.append(session.relative_mass_std * robot, np.zeros(9))
         systematic = np.hypot(systematic, numbers(heavier) - values)
     deviations = np.hypot(np.append(body.std, moment_std), systematic)
     is_identified = identified(body.parameters, np.hypot(body.std_doubted, systematic), body.std_prior)

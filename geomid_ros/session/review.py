@@ -247,7 +247,7 @@ class Review:
             if finding.cause.kind == "description":
                 raise InputError(f"{self._setup.source or self._robot.name}: {finding.cause.sentence}")
 
-    def judge_apart(self) -> None:
+    def check_separately(self) -> None:
         """Keep the findings so far; check later samples separately: an intended change between recordings is no
         fault."""
         kept = self.findings

@@ -27,7 +27,7 @@ from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
-from geomid_ros.model.alike_parts import AlikeParts, alike_parts, said_alike
+from geomid_ros.model.alike_parts import AlikeParts, alike_parts, alike_sentences
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.review import Review
@@ -114,7 +114,7 @@ class Session(Setup):
     @property
     def notes(self) -> list[str]:
         """Remarks in sentences that do not make results doubtful."""
-        return [*self.review.notes, *said_alike(self.alike)]
+        return [*self.review.notes, *alike_sentences(self.alike)]
 
     def rms(
         self, batches: Iterable[Samples], parameters: FloatArray, added: Callable[[Samples], FloatArray] | None = None

@@ -69,7 +69,7 @@ class Setup:
             commanded=self.controller is not None,
         )
         self.model = model.with_known_loads(self.loaded.parameters(model))
-        self.joints_heard: set[str] = set()
+        self.received_joints: set[str] = set()
         """Names of joints in all messages so far."""
 
     def _read_controller(self) -> Controller | None:
@@ -111,7 +111,7 @@ class Setup:
     @property
     def lockable(self) -> tuple[str, ...]:
         """Joints that are in no message so far, if they may count as fixed at zero."""
-        return _lockable(self.robot, frozenset(self.joints_heard), [sensor.frame for sensor in self.model.sensors])
+        return _lockable(self.robot, frozenset(self.received_joints), [sensor.frame for sensor in self.model.sensors])
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -174,7 +174,7 @@ class Setup:
             effect_columns=effect_columns or self.model.columns,
             on_accepted=on_accepted,
             ledger=ledger,
-            joints_heard=self.joints_heard,
+            joints_heard=self.received_joints,
             mount=self._imu_mount,
             loads=None if self.model.legs is None else self.model.legs.loads,
             controller=self.controller,
@@ -186,7 +186,7 @@ class Setup:
         return IMU if self.configuration["imu.frame"] else ODOM
 
     @property
-    def share_of_mass(self) -> float:
+    def relative_mass_std(self) -> float:
         """Standard deviation of the relative difference in total mass between two recordings, as the bias of an
         accelerometer along gravity is mistaken for it. Zero without an IMU."""
         gravity = float(np.linalg.norm(self.robot.gravity))

@@ -162,4 +162,4 @@ class WrenchGuard:
         forgets = np.isfinite(self._session.configuration.buffer.forgetting_time)
         bytes_per_sample = 8 * (model.dimension + 1) * len(model.channels)
         revocable = model.mounted and not (forgets and self._check.ended)
-        self._session.identifier.hold(MOST_WAITING_BYTES // bytes_per_sample if revocable else 0)
+        self._session.identifier.buffer_last(MOST_WAITING_BYTES // bytes_per_sample if revocable else 0)

@@ -19,7 +19,7 @@ from geomid_ros.files.models.effects_file import combined, write_sidecar
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.files.models.written_model import ModelFiles, WrittenModel, moved, write_model
+from geomid_ros.files.models.written_model import ModelFiles, WrittenModel, with_shifted_parameters, write_model
 from geomid_ros.gap.result import GapResult
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
@@ -68,7 +68,9 @@ def _changed(
         previous = effects.pop((finding.effect, finding.joint), None) if finding.was else None
         parameters = previous.parameters if previous else {}
         shared = parameters.keys() & finding.was.keys()
-        findings.append(moved(finding, {name: parameters[name].value - finding.was[name] for name in shared}))
+        findings.append(
+            with_shifted_parameters(finding, {name: parameters[name].value - finding.was[name] for name in shared})
+        )
     return WrittenModel(inertias, tuple(combined([*effects.values(), *findings])), result.newly_folded)
 
 

@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.signals.arrived import NOTHING, Arrived
+from geomid_ros.signals.arrived import NO_MESSAGES, MessageBatch
 from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.ledger import Reason
 from geomid_ros.signals.messages import JOINT_STATES
@@ -58,12 +58,12 @@ class Gate:
             max_gap: [ns] messages further apart are not compared.
         """
         self._max_gap = max_gap
-        self.waiting = NOTHING
+        self.waiting = NO_MESSAGES
         """Messages without a decision."""
         self._decided = 0  # stamp of the last decided message that is good by itself
         self._stamp = 0  # of the last message that passed
 
-    def judge(self, new: Arrived, newest: int) -> tuple[Arrived, dict[int, Answer]]:
+    def decide(self, new: MessageBatch, newest: int) -> tuple[MessageBatch, dict[int, Answer]]:
         """Take messages, and decide on those that can be decided.
 
         Args:
@@ -73,7 +73,7 @@ class Gate:
         Returns:
             Decided messages, refused ones with the reason; and remarks by the arrival index of their message.
         """
-        arrived, notes = Arrived.joined([self.waiting, new]), dict[int, Answer]()
+        arrived, notes = MessageBatch.joined([self.waiting, new]), dict[int, Answer]()
         good = np.flatnonzero(arrived.good)
         repeated = steps(arrived.stamps[good], self._decided) == 0
         arrived.refusals[good[repeated]] = NOT_LATER
@@ -103,11 +103,11 @@ class Gate:
         decided, self.waiting = arrived.divided(end)
         return decided, notes
 
-    def begin_anew(self, decided: Arrived) -> Arrived:
+    def begin_anew(self, decided: MessageBatch) -> MessageBatch:
         """Reset the gate. Return the messages that were ``decided`` since then, and the waiting ones, without its
         refusals."""
-        arrived = Arrived.joined([decided, self.waiting])
-        self.waiting, self._stamp, self._decided = NOTHING, 0, 0
+        arrived = MessageBatch.joined([decided, self.waiting])
+        self.waiting, self._stamp, self._decided = NO_MESSAGES, 0, 0
         arrived.refusals[[refusal in _REASONS for refusal in arrived.refusals]] = None
         return arrived
 
@@ -150,7 +150,7 @@ class Gate:
         return None if not final else wrong if back and count == 1 else real
 
 
-class Admission:
+class ReorderBuffer:
     """Admits the messages of several sources, with a gate for each."""
 
     def __init__(self, new_gate: Callable[[Source], Gate], note: Callable[[str, str], None]) -> None:
@@ -161,7 +161,7 @@ class Admission:
         """
         self._new_gate, self._note = new_gate, note
         self._gates: dict[Source, Gate] = {}
-        self._decided: dict[Source, Arrived] = {}  # decided messages that wait behind undecided ones
+        self._decided: dict[Source, MessageBatch] = {}  # decided messages that wait behind undecided ones
         self._notes: dict[int, tuple[Source, Answer]] = {}  # remarks, by the arrival index of their message
 
     @property
@@ -172,7 +172,7 @@ class Admission:
             counts[source[0]] += len(gate.waiting) + len(self._decided[source])
         return counts
 
-    def take(self, new: Mapping[Source, Arrived], newest: int) -> list[dict[Source, Arrived]]:
+    def take(self, new: Mapping[Source, MessageBatch], newest: int) -> list[dict[Source, MessageBatch]]:
         """Take messages, and release those that are decided.
 
         Args:
@@ -184,9 +184,9 @@ class Admission:
             leapt.
         """
         for source in [source for source in new if source not in self._gates]:
-            self._gates[source], self._decided[source] = self._new_gate(source), NOTHING
+            self._gates[source], self._decided[source] = self._new_gate(source), NO_MESSAGES
         for source in self._gates:
-            self._decide(source, new.get(source, NOTHING), newest)
+            self._decide(source, new.get(source, NO_MESSAGES), newest)
         parts = []
         while (place := self._change(newest)) < self._end(newest):
             parts.append(self._before(place))
@@ -200,7 +200,7 @@ class Admission:
         dropped = Counter[str]()
         for source, gate in self._gates.items():
             dropped[source[0]] += len(gate.waiting)
-            gate.waiting = NOTHING
+            gate.waiting = NO_MESSAGES
         return dropped
 
     def _change(self, newest: int) -> int:
@@ -212,10 +212,10 @@ class Admission:
         waiting = [gate.waiting.order for gate in self._gates.values()]
         return min((int(order[0]) for order in waiting if len(order)), default=newest + 1)
 
-    def _decide(self, source: Source, arrived: Arrived, newest: int) -> None:
-        decided, notes = self._gates[source].judge(arrived, newest)
+    def _decide(self, source: Source, arrived: MessageBatch, newest: int) -> None:
+        decided, notes = self._gates[source].decide(arrived, newest)
         self._notes |= {place: (source, answer) for place, answer in notes.items()}
-        self._decided[source] = Arrived.joined([self._decided[source], decided])
+        self._decided[source] = MessageBatch.joined([self._decided[source], decided])
 
     def _reconsider(self, changed: Source, place: int, newest: int) -> None:
         """Decide again on messages of other topics since a clock was set, as they may have the same clock."""
@@ -226,7 +226,7 @@ class Admission:
             self._notes = {other: entry for other, entry in self._notes.items() if entry[0] != source}
             self._decide(source, gate.begin_anew(since), newest)
 
-    def _before(self, place: int) -> dict[Source, Arrived]:
+    def _before(self, place: int) -> dict[Source, MessageBatch]:
         """Release the decided messages that arrived before this one."""
         for noted in sorted(index for index in self._notes if index < place):
             (topic, _), answer = self._notes.pop(noted)

@@ -24,7 +24,7 @@ def plausible(values: FloatArray) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Arrived:
+class MessageBatch:
     """N messages of one source: arrival indices ``order``, stamps [ns], and numbers in the robot's order.
 
     ``refusals`` are the reasons why messages are unusable by themselves, None for usable ones.
@@ -43,37 +43,37 @@ class Arrived:
         """True for messages that are usable by themselves ``(N,)``."""
         return without_refusal(self.refusals)
 
-    def select(self, index: BoolArray | IntArray | slice) -> Arrived:
+    def select(self, index: BoolArray | IntArray | slice) -> MessageBatch:
         """Return a selection of the messages."""
-        return Arrived(self.order[index], self.stamps[index], self.numbers[index], self.refusals[index])
+        return MessageBatch(self.order[index], self.stamps[index], self.numbers[index], self.refusals[index])
 
-    def split(self, place: int) -> tuple[Arrived, Arrived]:
+    def split(self, place: int) -> tuple[MessageBatch, MessageBatch]:
         """Split into messages before arrival index ``place``, and the others."""
         return self.divided(int(np.searchsorted(self.order, place)))
 
-    def divided(self, count: int) -> tuple[Arrived, Arrived]:
+    def divided(self, count: int) -> tuple[MessageBatch, MessageBatch]:
         """Split into the first ``count`` messages, and the others."""
         if count >= len(self):
-            return self, NOTHING
+            return self, NO_MESSAGES
         return self.select(slice(count)), self.select(slice(count, None))
 
     @staticmethod
-    def joined(several: Sequence[Arrived]) -> Arrived:
+    def joined(several: Sequence[MessageBatch]) -> MessageBatch:
         """Concatenate messages."""
         nonempty = [part for part in several if len(part)]
         if len(nonempty) < 2:
             return (nonempty or several)[0]
         columns = zip(*((e.order, e.stamps, e.numbers, e.refusals) for e in nonempty), strict=True)
-        return Arrived(*(np.concatenate(column) for column in columns))
+        return MessageBatch(*(np.concatenate(column) for column in columns))
 
     @staticmethod
-    def in_order(several: Sequence[Arrived]) -> Arrived:
+    def in_order(several: Sequence[MessageBatch]) -> MessageBatch:
         """Concatenate messages, and sort them by arrival."""
-        merged = Arrived.joined(several)
+        merged = MessageBatch.joined(several)
         return merged.select(np.argsort(merged.order, kind="stable")) if len(several) > 1 else merged
 
 
-NOTHING = Arrived(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 0)), np.full(0, None))
+NO_MESSAGES = MessageBatch(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 0)), np.full(0, None))
 """No messages."""
 
 
@@ -135,7 +135,7 @@ def inertial(block: Block) -> tuple[FloatArray, AnyArray]:
     return values, refusals
 
 
-NOBODY = (
+MISSING_JOINT_ADVICE = (
     "if nobody publishes it, name it in the parameter locked_joints (--lock); if another node does, set "
     "merge_joint_states (--merge)"
 )
@@ -165,7 +165,7 @@ def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
         return f"{sentence}: none of the messages' names is a joint of this URDF ({quoted} ...)"
     unknown = next((name for name in names if name not in joints), None)
     other = f"; or is it '{unknown}'?" if unknown else ""
-    return f"{sentence}: {NOBODY}{other}"
+    return f"{sentence}: {MISSING_JOINT_ADVICE}{other}"
 
 
 def _prefix(plain: Sequence[str], prefixed: Sequence[str]) -> str:

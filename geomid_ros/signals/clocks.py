@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from geomid_ros.model.samples import STILL
+from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.settings import CLEAR
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -132,7 +132,7 @@ class VelocityCheck:
     def _informative(self, sums: FloatArray) -> BoolArray:
         """True for joints with informative sums ``(4, ...)``; a joint at rest has the filter's tails only."""
         count, _, product, derived = sums
-        return np.asarray((count >= self._FEWEST) & (derived > count * STILL**2) & (product > 0.0))
+        return np.asarray((count >= self._FEWEST) & (derived > count * REST_SPEED**2) & (product > 0.0))
 
     def _scaled(self, sums: FloatArray) -> BoolArray:
         """True for joints whose velocities are the derivatives but for a factor, by sums ``(4, ...)``."""

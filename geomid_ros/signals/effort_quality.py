@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from geomid_ros.model.samples import STILL
+from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.settings import CLEAR, LONGEST_SAME
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -110,7 +110,7 @@ class SaturationDetector:
         held = self._learn_held(numbers, effort != last, grown | (np.abs(last) < record), moving[:, None])
         largest: BoolArray = size == record
         if largest.any():
-            result = moving[:, None] & self._stays(stamps, numbers, largest, grown, np.abs(velocity) < STILL, held)
+            result = moving[:, None] & self._stays(stamps, numbers, largest, grown, np.abs(velocity) < REST_SPEED, held)
         else:
             result = largest
             self._last_below, self._largest_since = (np.full(self._joints, last[-1]) for last in (numbers, stamps))
@@ -192,7 +192,7 @@ _SENTENCES = {
 }
 
 
-class EffortQuality:
+class EffortFaultDetector:
     """Checks the efforts of J joints over many messages, and reports each fault once."""
 
     def __init__(self, joints: Sequence[str], turning: BoolArray, note: Callable[[str], None]) -> None:
@@ -227,7 +227,7 @@ class EffortQuality:
     def _judge(self) -> None:
         """Check the window. Report faults that were found twice in a row, once for each joint."""
         stamps, positions, efforts = (np.concatenate(parts) for parts in zip(*self._kept, strict=True))
-        faults, renewal_periods = peculiar(stamps, positions, efforts, self._turning)
+        faults, renewal_periods = effort_faults(stamps, positions, efforts, self._turning)
         for kind, affected in faults.items():
             joints = affected & self._before[kind] & ~self._reported[kind]
             self._reported[kind] = self._reported[kind] | joints
@@ -242,7 +242,7 @@ class EffortQuality:
         self._room = self._due - kept
 
 
-def peculiar(
+def effort_faults(
     stamps: IntArray, positions: FloatArray, efforts: FloatArray, turning: BoolArray
 ) -> tuple[dict[str, BoolArray], FloatArray]:
     """Find the faults of efforts: at most one for each joint, besides "copied".
@@ -268,7 +268,7 @@ def peculiar(
     fine = many & ~coarse
 
     period = 1e-9 * float(np.median(np.diff(stamps)))
-    moving = np.abs(np.diff(positions, axis=0)) > STILL * period
+    moving = np.abs(np.diff(positions, axis=0)) > REST_SPEED * period
     renewed = np.sum(moving & (change > 0.0), axis=0)
     renewal_period = period * np.sum(moving, axis=0) / np.maximum(renewed, 1)
     held = fine & (renewed >= _MANY) & (renewal_period > LONGEST_SAME) & (typical > CLEAR * step)

@@ -7,10 +7,10 @@ from math import tau
 
 import numpy as np
 
-from geomid_ros.model.samples import STILL
+from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.signals.arrived import missing_joint, plausible, without_refusal
 from geomid_ros.signals.clocks import steps
-from geomid_ros.signals.effort_quality import EffortQuality, SaturationDetector
+from geomid_ros.signals.effort_quality import EffortFaultDetector, SaturationDetector
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -63,7 +63,7 @@ class JointReader:
         self._names: tuple[str, ...] = ()
         self._order = np.zeros(len(joints), dtype=np.int64)
         self._saturation = SaturationDetector(len(joints))
-        self._quality = EffortQuality(joints, continuous | self._turning, note)
+        self._quality = EffortFaultDetector(joints, continuous | self._turning, note)
         self.restart()
 
     def restart(self) -> None:
@@ -142,7 +142,7 @@ class JointReader:
         if len(used):
             used_stamps, used_values = stamps[used], values[used]
             self._stamp, self._last = int(used_stamps[-1]), used_values[-1].copy()
-            refusals[used] = self._check_effort(used_stamps, used_values, speeds[used] > STILL)
+            refusals[used] = self._check_effort(used_stamps, used_values, speeds[used] > REST_SPEED)
             values[used] = used_values
             good = without_refusal(refusals)
             self._quality.add(stamps[good], values[good, 0], values[good, 2])
@@ -197,7 +197,7 @@ class JointReader:
             same[same] = ((now == before) | (np.isnan(now) & np.isnan(before))).all(axis=(1, 2)) & now[:, 2].any(axis=1)
         speeds = self._speeds(stamps, numbers[:, 1], moved, same)
         self._came, self._speed = int(stamps[-1]), float(speeds[-1])
-        return same & (speeds > STILL), speeds
+        return same & (speeds > REST_SPEED), speeds
 
     def _speeds(self, stamps: IntArray, velocities: FloatArray, moved: FloatArray, same: BoolArray) -> FloatArray:
         """Largest joint speed in each message ``(N,)``. Where it is not measured, it is derived from the steps

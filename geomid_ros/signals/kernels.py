@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.samples import PIECE
+from geomid_ros.model.samples import SAMPLES_PER_PIECE
 from geomid_ros.signals.settings import LARGEST_NOISE_GAIN
 from geomid_ros.types import FloatArray, IntArray
 
@@ -72,8 +72,11 @@ def filtered(
     half = kernels.shape[1] // 2
     extended = np.pad(values, ((half, half), (0, 0)), mode="edge")
     if at is not None:
-        windows, pieces = sliding_window_view(extended, 2 * half + 1, axis=0), range(0, max(len(at), 1), PIECE)
-        results = np.concatenate([windows[at[begin : begin + PIECE]] @ kernels.T for begin in pieces])
+        windows, pieces = (
+            sliding_window_view(extended, 2 * half + 1, axis=0),
+            range(0, max(len(at), 1), SAMPLES_PER_PIECE),
+        )
+        results = np.concatenate([windows[at[begin : begin + SAMPLES_PER_PIECE]] @ kernels.T for begin in pieces])
         value, first, second = np.moveaxis(results, 2, 0)
         return value, first, second
     padded = GridValues()

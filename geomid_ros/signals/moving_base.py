@@ -113,7 +113,7 @@ class Stance:
         self._before = 0  # number of held samples that were returned already
         self._borne = np.zeros((0, 0))  # loads of the feet at the held samples
 
-    def known(self, new: Samples) -> Samples | None:
+    def with_stance(self, new: Samples) -> Samples | None:
         """Take samples in the order of time. Return those whose standing feet are known."""
         parts = [ready for part in _in_order(new) if (ready := self._take(part)) is not None]
         return Samples.concatenate(parts) if parts else None

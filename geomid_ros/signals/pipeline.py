@@ -21,11 +21,11 @@ from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.admission import Admission, Gate, Source
+from geomid_ros.signals.admission import Gate, ReorderBuffer, Source
 from geomid_ros.signals.arrived import (
     NO_STAMP,
     NOT_VALID,
-    Arrived,
+    MessageBatch,
     commands,
     inertial,
     poses,
@@ -110,7 +110,7 @@ class SignalPipeline:
         resolved = round(0.5e9 / settings.cutoff)
         note = partial(self.ledger.note, JOINT_STATES)
         self._parts = JointParts(self._joints, self._max_gap, resolved, self._new_reader, note, settings.merge)
-        self._admission = Admission(self._new_gate, self.ledger.note)
+        self._admission = ReorderBuffer(self._new_gate, self.ledger.note)
         self._arrived = 0  # number of messages
         self._open: Counter[str] = Counter()  # messages that are not yet accounted for
         self._joined: list[tuple[int, Part, int, FloatArray]] = []  # messages that wait for those of other joints
@@ -171,7 +171,7 @@ class SignalPipeline:
             self._arrived += sum(len(block.stamps) for block in blocks)
             self._take(batch)
 
-    def _take(self, batch: Mapping[Source, Arrived]) -> None:
+    def _take(self, batch: Mapping[Source, MessageBatch]) -> None:
         """Admit new messages and use the released ones."""
         for index, admitted in enumerate(self._admission.take(batch, self._arrived - 1)):
             if index:
@@ -198,9 +198,9 @@ class SignalPipeline:
         self.ledger.reject(topic, reason, count)
         self._open[topic] -= count
 
-    def _read(self, blocks: Iterable[Block]) -> dict[Source, Arrived]:
+    def _read(self, blocks: Iterable[Block]) -> dict[Source, MessageBatch]:
         """Read the messages, each by itself, grouped by source."""
-        groups: dict[Source, list[Arrived]] = {}
+        groups: dict[Source, list[MessageBatch]] = {}
         for block in blocks:
             if block.topic == JOINT_STATES and len(self.joints_heard) < MOST_WAITING:
                 self.joints_heard.update(block.names)
@@ -212,8 +212,10 @@ class SignalPipeline:
             numbers, refusals = self._numbers(source, block)
             refusals[block.stamps < 0] = NOT_VALID
             refusals[block.stamps == 0] = NO_STAMP
-            groups.setdefault(source, []).append(Arrived(block.order + self._arrived, block.stamps, numbers, refusals))
-        return {source: Arrived.in_order(arrivals) for source, arrivals in groups.items()}
+            groups.setdefault(source, []).append(
+                MessageBatch(block.order + self._arrived, block.stamps, numbers, refusals)
+            )
+        return {source: MessageBatch.in_order(arrivals) for source, arrivals in groups.items()}
 
     def _part(self, block: Block) -> Part:
         return self._parts.part(block.names) if block.topic == JOINT_STATES else ()
@@ -231,7 +233,7 @@ class SignalPipeline:
             raise unknown_name("wrench topic", block.topic, self._sensors)
         return wrenches(block, self._sensors[block.topic])
 
-    def _use(self, source: Source, arrived: Arrived) -> None:
+    def _use(self, source: Source, arrived: MessageBatch) -> None:
         """Use the messages that neither their gate nor their reader refuses."""
         topic, part = source
         good, reasons = arrived.good, list[str]()
@@ -294,4 +296,4 @@ class SignalPipeline:
     def collect(self) -> Samples | None:
         """Return the samples that became ready since the last call, oldest first; None if there are none."""
         samples = self._sampler.collect()
-        return samples if samples is None or self._stance is None else self._stance.known(samples)
+        return samples if samples is None or self._stance is None else self._stance.with_stance(samples)

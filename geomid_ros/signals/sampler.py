@@ -13,7 +13,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.model.columns import Column, Entries, PlacedColumn
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
-from geomid_ros.model.samples import PIECE, Samples
+from geomid_ros.model.samples import SAMPLES_PER_PIECE, Samples
 from geomid_ros.signals.clocks import FEWEST, FEWEST_IN_BURSTS, RegularClock, VelocityCheck, in_bursts
 from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, driver_error
@@ -212,7 +212,9 @@ class Sampler:
         while grid is not None:
             ranges = [stream.segment.ready() for stream in streams]
             start = max([self._next_instant, *(r.start for r in ranges)])
-            instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)[:PIECE]
+            instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)[
+                :SAMPLES_PER_PIECE
+            ]
             if instants:
                 samples = self._samples(grid, instants)
                 self._pending += [samples] if len(samples) else []

@@ -21,7 +21,7 @@ from geomid_ros.simulation.effects.physics import (
     Places,
     TrueEffect,
     play_name,
-    wound,
+    wind_up,
 )
 from geomid_ros.types import FloatArray, IntArray
 
@@ -65,7 +65,7 @@ class Simulator(ABC):
         for _ in range(_WINDINGS if self._gears else 0):
             load = self.inverse_dynamics(state, rest, rest)
             for effect, at in self._gears:
-                state[at.play] = -wound(effect.parameters, float(load[at.joint]))
+                state[at.play] = -wind_up(effect.parameters, float(load[at.joint]))
         return state, rest
 
     def _friction_levels(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, perturbed, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
-from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect, sensed
+from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect, noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
@@ -109,11 +109,11 @@ class Motors:
     phase: FloatArray
     limit: FloatArray
 
-    def supplied(self, commanded: FloatArray) -> FloatArray:
+    def clipped(self, commanded: FloatArray) -> FloatArray:
         """Commanded efforts ``(n,)``, clipped to the limits: the efforts that the currents show."""
         return np.clip(commanded, -self.limit, self.limit)
 
-    def unseen(self, effort: FloatArray, position: FloatArray) -> FloatArray:
+    def unmeasured_effort(self, effort: FloatArray, position: FloatArray) -> FloatArray:
         """Cogging and ripple: efforts at the joints ``(n,)`` that the currents do not show."""
         angles = self.cycles * position + self.phase
         cogging = (self.cogging * np.sin(angles)).sum(axis=0)
@@ -208,10 +208,10 @@ def published(trace: RunTrace, sensors: Sensors, rng: np.random.Generator) -> Ru
         effort=rounded(effort, sensors.effort_step),
         wrench=wrench,
     )
-    return _arrived(measured, kept(len(trace.time), sensors.lost, sensors.burst, rng))
+    return _arrived(measured, arrival_mask(len(trace.time), sensors.lost, sensors.burst, rng))
 
 
-def kept(messages: int, lost: float, burst: float, rng: np.random.Generator) -> BoolArray:
+def arrival_mask(messages: int, lost: float, burst: float, rng: np.random.Generator) -> BoolArray:
     """Mask of the messages that arrive ``(T,)``: a two-state chain (Gilbert 1960); the first and last always do."""
     ends, begins = 1.0 / burst, lost / (burst * (1.0 - lost))
     draws, arrives, up = rng.uniform(size=messages), np.ones(messages, dtype=np.bool_), True
@@ -274,7 +274,7 @@ class RealisticRobot(TrueRobot):
     def published(self, trace: RunTrace, options: SimulationOptions) -> RunTrace:
         """Measurements of a true motion, as they arrive."""
         numbers = generator(options.recording_seed, RandomStream.NOISE)
-        return published(sensed(trace, self.plant.joints, self.effects), self.sensors, numbers)
+        return published(noiseless_measurement(trace, self.plant.joints, self.effects), self.sensors, numbers)
 
     def noise(self, options: SimulationOptions) -> dict[str, FloatArray]:  # noqa: ARG002 its sensors have their own
         """Noise standard deviations of the channels; of position and velocity, the encoder's rounding."""
@@ -386,11 +386,11 @@ class RealisticLoop(ControlLoop):
 
     def acceleration(self, half_step: int, position: FloatArray, velocity: FloatArray) -> FloatArray:
         truth = self.truth
-        effort = truth.motors.supplied(self.controller.effort(half_step, position, velocity))
+        effort = truth.motors.clipped(self.controller.effort(half_step, position, velocity))
         self.dry = truth.dry(velocity, position, effort)
         cold = truth.warm_up.cold(0.5 * half_step * self.step)
         friction = truth.friction.force(self.bend, velocity, self.dry, cold)
-        unseen = truth.motors.unseen(effort, position)
+        unseen = truth.motors.unmeasured_effort(effort, position)
         return self.robot.acceleration(position, velocity, effort, unseen - friction)
 
     def advance(

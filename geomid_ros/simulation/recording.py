@@ -16,7 +16,7 @@ import yaml
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.description import LinkInertia
-from geomid_ros.simulation.effects.physics import sensed
+from geomid_ros.simulation.effects.physics import noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import GRAVITY, Plant
@@ -67,8 +67,8 @@ def simulate(
     """
     options = options or SimulationOptions()
     bag = Path(out_bag)
-    truth = beside(bag, "truth.json")
-    gains = beside(bag, "controller.yaml") if options.commands else None
+    truth = companion_path(bag, "truth.json")
+    gains = companion_path(bag, "controller.yaml") if options.commands else None
     refuse_existing(bag, truth, gains)
     robot = build_realistic(options) if options.realistic else build_robot(options, builder)
     loop = closed_loop(robot, options)
@@ -83,7 +83,7 @@ def simulate(
     return SimulationResult(bag, truth, gains, len(trace.time))
 
 
-def beside(bag: Path, what: str) -> Path:
+def companion_path(bag: Path, what: str) -> Path:
     """Path of a file about a bag: ``arm7.truth.json`` next to ``arm7``."""
     return bag.with_name(f"{bag.name}.{what}")
 
@@ -135,7 +135,7 @@ def contributions(trace: RunTrace, robot: TrueRobot, options: SimulationOptions)
         efforts.append(bare.inverse_dynamics(*row))
         bare.acceleration(*row[:2], efforts[-1])
         wrenches.append(bare.wrench())
-    measured = sensed(trace, robot.plant.joints, robot.effects)
+    measured = noiseless_measurement(trace, robot.plant.joints, robot.effects)
     columns = [np.interp(trace.wrench_time, trace.time, column) for column in np.array(wrenches).T]
     wrench = measured.wrench - np.reshape(columns, (-1, len(trace.time))).T
     return {"effort": _rms(measured.effort - np.array(efforts)), "wrench": _rms(wrench)}

@@ -12,7 +12,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, perturbed, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
-from geomid_ros.simulation.effects.physics import TrueEffect, sensed
+from geomid_ros.simulation.effects.physics import TrueEffect, noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace, SetPoints
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant, Simulator
@@ -208,7 +208,7 @@ class TrueRobot:
         """Measurements of a true motion: with measurement effects, noise and resolution."""
         numbers = generator(options.recording_seed, RandomStream.NOISE)
         levels = self.noise(options)
-        measured = sensed(trace, self.plant.joints, self.effects)
+        measured = noiseless_measurement(trace, self.plant.joints, self.effects)
         memory = math.exp(-1.0 / (options.rate * options.noise_time)) if options.noise_time > 0.0 else 0.0
         position = _noisy(measured.position, levels["position"], 0.0, numbers)
         velocity = _noisy(measured.velocity, levels["velocity"], 0.0, numbers)

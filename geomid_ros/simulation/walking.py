@@ -28,7 +28,7 @@ from geomid_ros.simulation.description import (
 from geomid_ros.simulation.motion import WalkTrace
 from geomid_ros.simulation.options import LONGEST_STEP, RandomStream, generator
 from geomid_ros.simulation.plant import buildable, load_mujoco, rigid_bodies
-from geomid_ros.simulation.recording import beside, link_entry, refuse_existing
+from geomid_ros.simulation.recording import companion_path, link_entry, refuse_existing
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
@@ -175,7 +175,7 @@ def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
     Raises:
         InputError: a file exists already, or the robot cannot walk like this.
     """
-    truth = beside(out, "truth.json")
+    truth = companion_path(out, "truth.json")
     refuse_existing(out, truth)
     robot = read_description(robot_description(options.robot))
     bodies = true_bodies(robot, options)

@@ -15,7 +15,7 @@ import geomid_ros
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import CauseEntry
-from geomid_ros.files.schema import structured
+from geomid_ros.files.schema import from_document
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 MISSING = "Time series need the recordings; this page was made from the files of the result alone."
@@ -125,4 +125,4 @@ def test_doubts_are_said_again_as_they_were() -> None:
     signs, units = Cause(kind="signs", sentence="signs are reversed"), Cause(kind="units", sentence="in mN m")
     findings = [Finding(cause=signs), Finding(cause=units, sure=False), Finding(cause=signs, rivals=(units,))]
     written = json.loads(json.dumps(causes_entry(findings)))
-    assert [structured(CauseEntry, own, "gap.json:").doubt for own in written] == [own.sentence for own in findings]
+    assert [from_document(CauseEntry, own, "gap.json:").doubt for own in written] == [own.sentence for own in findings]

@@ -16,7 +16,7 @@ from benchmarks.blind.realistic.figures import figures
 from benchmarks.blind.realistic.judging import judge
 from benchmarks.blind.realistic.sizing import LEAST, MOST, sized
 from geomid_ros.simulation import Hidden, SimulationOptions
-from geomid_ros.simulation.effects.physics import sensed
+from geomid_ros.simulation.effects.physics import noiseless_measurement
 from geomid_ros.simulation.realistic import build_realistic
 from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.simulation.robots import robot_description
@@ -68,7 +68,7 @@ def before_noise(options: SimulationOptions) -> tuple[FloatArray, FloatArray, Fl
     noise = robot.sensors.effort_noise**2 + robot.sensors.effort_step**2 / 12.0
     band = low(np.random.default_rng(1).standard_normal((200_000, 1))).var()
     floor = np.sqrt(np.mean(low(unseen - unseen.mean(axis=0)) ** 2, axis=0) + band * noise)
-    return sensed(trace, robot.plant.joints, robot.effects).effort, rows, floor
+    return noiseless_measurement(trace, robot.plant.joints, robot.effects).effort, rows, floor
 
 
 def low(effort: FloatArray) -> FloatArray:

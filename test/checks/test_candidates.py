@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from checks.test_efforts import case
-from geomid_ros.checks.candidates import PROBABLE, Candidate, Judged, Tried, contradicted, decide, probabilities
+from geomid_ros.checks.candidates import (
+    PROBABLE,
+    Candidate,
+    CandidateFit,
+    CandidateTest,
+    contradicted,
+    decide,
+    probabilities,
+)
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
@@ -40,20 +48,20 @@ def subject() -> Subject:
     return every.with_efforts(every.measured + 0.5 * every.spread * noise)
 
 
-def tried(of: Subject, better: Sequence[float], places: Sequence[int], first: float = 1.0) -> Tried:
+def tried(of: Subject, better: Sequence[float], places: Sequence[int], first: float = 1.0) -> CandidateTest:
     """A cause by which each joint is so much better explained, in the first part of the recording by a factor."""
     begin = of.samples.stamps[0]
 
-    def undo(part: Subject) -> Judged:
+    def undo(part: Subject) -> CandidateFit:
         gain = np.sum(better) * (
             first if part.samples.stamps[0] == begin and len(part.samples) < len(of.samples) else 1.0
         )
-        return Judged(
+        return CandidateFit(
             log=part.nominal.log + gain * len(part.samples), sigmas=part.nominal.sigmas * np.exp(-np.array(better))
         )
 
     cause = Cause(kind="cause", sentence="it is this", places=tuple(of.names[place] for place in places))
-    return Tried.of(Candidate(cause=cause, concerned=range(len(of.joints)), undo=undo), of)
+    return CandidateTest.of(Candidate(cause=cause, concerned=range(len(of.joints)), undo=undo), of)
 
 
 def test_what_explains_one_joint_worse_is_no_name_but_something_is_wrong() -> None:

@@ -53,10 +53,10 @@ def test_by_channel_unknowns_are_those_of_all_columns() -> None:
         np.array([0.5, 3.0]),
         rng.random((INSTANTS, CHANNELS)),
     )
-    unknowns = Unknowns.of(links, own).with_own(other).with_more(more).times(weights).part(slice(10, None))
+    unknowns = Unknowns.of(links, own).with_separate(other).with_errors(more).times(weights).part(slice(10, None))
     every = np.concatenate([links, more], axis=2)
     errors = rng.normal(size=LINKS + 2)
-    assert unknowns.taken(errors) == pytest.approx((weights * (every @ errors))[10:])
+    assert unknowns.link_efforts(errors) == pytest.approx((weights * (every @ errors))[10:])
     sums = unknowns.with_target(target[10:], units)
     for channel in range(CHANNELS):
         of_own = np.zeros((INSTANTS, 3 * CHANNELS))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from estimation.arms import motion, samples
 
-from geomid_ros.checks.instants import STEP, Instants, Stretch
+from geomid_ros.checks.instants import STEP, RecentMotion, SampleReservoir
 from geomid_ros.model.samples import Samples
 
 RATE = 100.0
@@ -20,7 +20,7 @@ def recording(seconds: float) -> Samples:
 
 def kept(recorded: Samples, batch: int) -> Samples:
     """What is kept of a recording that comes in batches."""
-    instants = Instants()
+    instants = SampleReservoir()
     for begin in range(0, len(recorded), batch):
         instants.add(recorded.select(slice(begin, begin + batch)))
     assert instants.kept is not None
@@ -40,7 +40,7 @@ def test_they_are_bounded_apart_and_spread_over_all(seconds: float) -> None:
 
 
 def test_another_recording_with_earlier_stamps_is_taken_too() -> None:
-    instants, recorded = Instants(), recording(3.0)
+    instants, recorded = SampleReservoir(), recording(3.0)
     instants.add(recorded)
     before = len(instants)
     instants.add(recorded)
@@ -51,7 +51,7 @@ def test_a_stretch_has_the_last_instants_in_motion() -> None:
     recorded = recording(30.0)
     still = Samples(**{**recorded.arrays, "velocity": np.zeros_like(recorded.velocity)})
     later = Samples(**{**recorded.arrays, "stamps": recorded.stamps + 10**12})
-    stretch = Stretch()
+    stretch = RecentMotion()
     for part in (recorded, still, later):
         for begin in range(0, len(part), 50):
             stretch.add(part.select(slice(begin, begin + 50)))

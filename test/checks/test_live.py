@@ -28,13 +28,13 @@ def fed(worker: Worker) -> None:
     """Let a worker take a recording."""
     for item in recorded(BAGS / "arm3"):
         if item.topic == "/joint_states":
-            worker.take([Received(*item.raw, time.perf_counter())])
+            worker.enqueue([Received(*item.raw, time.perf_counter())])
 
 
 def solved(worker: Worker) -> Estimate | GeomidError:
     """What it finds."""
     answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
-    worker.final_estimate(answers.put)
+    worker.request_estimate(answers.put)
     return answers.get(timeout=PATIENCE)
 
 

@@ -11,7 +11,7 @@ from estimation.arms import motion, samples
 
 from geomid_ros.checks import flexible, subject
 from geomid_ros.checks.check import judge_efforts
-from geomid_ros.checks.instants import FEWEST, Kept
+from geomid_ros.checks.instants import FEWEST, KeptSamples
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 
@@ -52,7 +52,7 @@ def fits(monkeypatch: pytest.MonkeyPatch, joints: int) -> tuple[int, list[tuple[
     with monkeypatch.context() as patch:
         for module in (subject, flexible):
             patch.setattr(module, "evidence", counted(module.evidence))
-        kept = Kept(measured, measured, np.zeros(len(measured), dtype=np.int64))
+        kept = KeptSamples(measured, measured, np.zeros(len(measured), dtype=np.int64))
         found = judge_efforts(MeasurementModel(robot, ()), kept, np.ones(joints)).findings
     return count, [finding.cause.places for finding in found]
 

@@ -59,12 +59,12 @@ def about_z(degrees: float) -> FloatArray:
 
 def test_feet_that_stand_tell_how_the_base_turns() -> None:
     samples = on_feet(TURNING, TURNING[:, 3:])
-    np.testing.assert_allclose(legs().turning(samples), TURNING[:, 3:], atol=1e-9)
+    np.testing.assert_allclose(legs().base_rate(samples), TURNING[:, 3:], atol=1e-9)
 
 
 @pytest.mark.parametrize("feet", [1, 2])
 def test_points_on_one_line_do_not_tell_it(feet: int) -> None:
-    assert np.isnan(legs(feet).turning(on_feet(TURNING, TURNING[:, 3:]))).all()
+    assert np.isnan(legs(feet).base_rate(on_feet(TURNING, TURNING[:, 3:]))).all()
 
 
 def test_one_that_is_right_is_not_doubted() -> None:

@@ -15,7 +15,7 @@ from benchmarks.corruption.recording import SOURCES, Recording
 from checks.test_efforts import case, findings
 from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.subject import Subject
-from geomid_ros.checks.unexplained import HALF, badly_explained, hint, rms, unexplained
+from geomid_ros.checks.unexplained import MOST, badly_explained, hint, rms, unexplained
 from geomid_ros.signals.joint_gate import LEAP
 from geomid_ros.types import FloatArray
 
@@ -49,7 +49,7 @@ def test_what_is_left_of_little_is_not_told() -> None:
 
 def test_the_worst_comes_first() -> None:
     assert places(told(residuals((0.6, 0.9, 0.1)))) == ("elbow", "shoulder")
-    assert places(told(residuals((HALF - 0.02, HALF + 0.02, 0.1)))) == ("elbow",)
+    assert places(told(residuals((MOST - 0.02, MOST + 0.02, 0.1)))) == ("elbow",)
 
 
 def test_what_is_not_judged_counts_for_nothing() -> None:

@@ -291,7 +291,7 @@ def test_a_motion_that_is_no_number_ends_it(arm: Arm) -> None:
 def test_another_correction_goes_on_gradually(arm: Arm) -> None:
     before, after = arm.learned(), arm.correction()
     sent = [before(BEGIN + DELAY, arm.commanded(BEGIN))]
-    after.go_on_from(before)
+    after.continue_from(before)
     sent += [after(BEGIN + DELAY + step * 0.002, arm.commanded(BEGIN)) for step in range(1, 40)]
     assert np.max(np.abs(np.diff(sent, axis=0)) / arm.efforts.limits) <= FASTEST * 0.002 * (1.0 + 1e-9)
     np.testing.assert_array_equal(sent[-1], 0.0)

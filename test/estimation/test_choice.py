@@ -255,7 +255,7 @@ def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_
     values, vectors = np.linalg.eigh(fitted.hessian)
     links = manifold.inertial
     squares = manifold.log(prior, fitted.point)[links] ** 2 + np.sum(vectors**2 / values, axis=1)[links]
-    usual = rows.problem.usual
+    usual = rows.problem.default_stds
     expected = np.sqrt((np.sum(squares.reshape(-1, 10), axis=1) + CERTAINTY * usual**2) / (10.0 + CERTAINTY))
     np.testing.assert_allclose(fitted.scales, expected, rtol=0.02)
 
@@ -279,7 +279,7 @@ def test_all_rows_have_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def recorded(begun: CoefficientFit) -> CoefficientFit:
         found = original(begun)
-        seen.append((begun.rows.at_rest, begun.every.tolist(), found))
+        seen.append((begun.rows.at_rest, begun.all_columns.tolist(), found))
         return found
 
     original = choice._grown
@@ -287,8 +287,8 @@ def test_all_rows_have_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
     result = choice.choose(own)
     (first, _, moving), (second, begun, every) = seen
     assert (first, second) == (False, True)
-    assert begun == moving.every.tolist()
-    assert result.columns.tolist() == every.every.tolist()
+    assert begun == moving.all_columns.tolist()
+    assert result.columns.tolist() == every.all_columns.tolist()
     np.testing.assert_array_equal(result.parameters, every.parameters)
 
 

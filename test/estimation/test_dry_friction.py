@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.gap.candidates import EffectTerm, not_driving
+from geomid_ros.gap.candidates import EffectTerm, passivity_constraints
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import Spring
 from geomid_ros.model.effects.friction import CoulombFriction, SaturatingFriction, StribeckFriction, ViscousFriction
@@ -55,12 +55,12 @@ def test_rows_are_of_driven_places_alone() -> None:
     dry, stuck = CoulombFriction(), StribeckFriction()
     places = [(dry, first), (ViscousFriction(), first), (dry, second), (stuck, first), (stuck, second)]
     terms = [EffectTerm(*place) for place in places]
-    assert not_driving(terms, np.array([1.0, -5.0, 1.0, -0.9, -0.9])).shape == (0, 5)
-    (row,) = not_driving(terms, np.array([1.0, -5.0, 1.0, -0.9, -2.0]))
+    assert passivity_constraints(terms, np.array([1.0, -5.0, 1.0, -0.9, -0.9])).shape == (0, 5)
+    (row,) = passivity_constraints(terms, np.array([1.0, -5.0, 1.0, -0.9, -2.0]))
     np.testing.assert_allclose(row, [0.0, 0.0, 5e4, 0.0, 5e4])
-    assert not_driving(terms, np.array([-1.0, -5.0, 1.0, 0.0, -0.9])).shape == (0, 5)  # one is left out
+    assert passivity_constraints(terms, np.array([-1.0, -5.0, 1.0, 0.0, -0.9])).shape == (0, 5)  # one is left out
     alone = [EffectTerm(dry, first), EffectTerm(Spring(), first)]
-    assert not_driving(alone, np.array([-1.0, -1.0])).shape == (0, 2)
+    assert passivity_constraints(alone, np.array([-1.0, -1.0])).shape == (0, 2)
 
 
 @pytest.mark.parametrize(
@@ -78,4 +78,4 @@ def test_stribeck_friction_is_friction_that_falls(
     """Its excess may make up for friction that sets in with speed, or for another shape near rest: then it is none."""
     own = StribeckFriction(speed)
     dry = {CoulombFriction(smoothing): level, own: excess, SaturatingFriction(0.15): made_up}
-    assert own.is_borne_out({**dry, ViscousFriction(): 9.0}) == falls
+    assert own.is_supported({**dry, ViscousFriction(): 9.0}) == falls

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation import estimator
-from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, likelier
+from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, with_second_start
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.starting_point import USUAL_SPREAD
+from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
@@ -59,8 +59,8 @@ def test_a_link_that_is_wrong_alone_is_let_go_and_the_others_stay(wrong: int, se
     links[wrong] *= 3.0
     found = fitted(with_links(case, links, seed))
     others = np.delete(np.arange(len(links)), wrong)
-    assert found.spreads[wrong] > 1.5 * USUAL_SPREAD
-    assert np.all(found.spreads[others] < 1.1 * USUAL_SPREAD)
+    assert found.prior_stds[wrong] > 1.5 * DEFAULT_PRIOR_STD
+    assert np.all(found.prior_stds[others] < 1.1 * DEFAULT_PRIOR_STD)
     assert found.point.pseudo_inertias[wrong, 3, 3] == pytest.approx(links[wrong, 0], rel=0.15)
     from_urdf = distances(found, nominal)
     assert np.all(from_urdf[others] < 0.25 * from_urdf[wrong])
@@ -131,7 +131,7 @@ def test_noise_and_spreads_are_a_fixed_point() -> None:
     far = whole.manifold.point(case.truth)
     warm = fit(whole, far, tolerance=1e-10, max_steps=300)
     np.testing.assert_allclose(warm.sigmas, cold.sigmas, rtol=1e-6)
-    np.testing.assert_allclose(warm.spreads, cold.spreads, rtol=1e-5)
+    np.testing.assert_allclose(warm.prior_stds, cold.prior_stds, rtol=1e-5)
     np.testing.assert_allclose(warm.point.parameters, cold.point.parameters, rtol=1e-4, atol=1e-6)
 
 
@@ -144,8 +144,8 @@ def test_a_links_spread_is_its_distance_from_the_prior_and_what_is_unsure_of_it(
     links = manifold.inertial
     squares = manifold.log(prior, found.point)[links] ** 2 + np.sum(vectors**2 / values, axis=1)[links]
     of_links = np.sum(squares.reshape(-1, 10), axis=1)
-    expected = np.sqrt((of_links + CERTAINTY * USUAL_SPREAD**2) / (10.0 + CERTAINTY))
-    np.testing.assert_allclose(found.spreads, expected, rtol=1e-5)
+    expected = np.sqrt((of_links + CERTAINTY * DEFAULT_PRIOR_STD**2) / (10.0 + CERTAINTY))
+    np.testing.assert_allclose(found.prior_stds, expected, rtol=1e-5)
 
 
 def test_the_score_is_the_density_of_what_was_measured() -> None:
@@ -163,7 +163,7 @@ def test_the_score_is_the_density_of_what_was_measured() -> None:
     covariance = np.diag(sigmas**2) + (tangent * found.assumed_spreads**2) @ tangent.T
     off = left - tangent @ manifold.log(found.point, prior)
     density = np.linalg.slogdet(covariance)[1] + off @ np.linalg.solve(covariance, off)
-    wide = found.spreads / USUAL_SPREAD
+    wide = found.prior_stds / DEFAULT_PRIOR_STD
     expected = density + CERTAINTY * np.sum(wide**-2.0 + 2.0 * np.log(wide))
     assert found.score == pytest.approx(expected, abs=0.05)
 
@@ -175,7 +175,7 @@ def test_the_likelier_of_two_fits_is_taken(second: float, taken: str) -> None:
 
     whole: Any = None
     other: Any = "elsewhere"
-    assert likelier(solve, other, None)(whole).name == taken  # type: ignore[attr-defined]
+    assert with_second_start(solve, other, None)(whole).name == taken  # type: ignore[attr-defined]
 
 
 def test_of_two_minima_the_more_likely_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,7 +207,7 @@ def test_of_two_minima_the_more_likely_is_taken(monkeypatch: pytest.MonkeyPatch)
     (cold, _), (warm, _) = pairs[0]
     assert abs(cold.score - warm.score) > 5.0
     better = min((found for found, _ in (pairs[-1])), key=lambda found: found.score)
-    np.testing.assert_array_equal(result.spreads, better.spreads)
+    np.testing.assert_array_equal(result.prior_stds, better.prior_stds)
 
 
 def halting(name: str, seed: int) -> Case:
@@ -226,8 +226,8 @@ def halting(name: str, seed: int) -> Case:
 def test_a_budget_that_is_spent_is_told() -> None:
     """A few steps settle nothing; where they are enough nothing is said."""
     case = arm("arm3", 1)
-    assert not fit(problem(case), tolerance=1e-10, max_steps=300).spent
-    assert fit(problem(case), tolerance=1e-10, max_steps=1).spent
+    assert not fit(problem(case), tolerance=1e-10, max_steps=300).budget_exhausted
+    assert fit(problem(case), tolerance=1e-10, max_steps=1).budget_exhausted
     for most, told in ((300, False), (1, True)):
         assert any("budget of steps" in warning for warning in solved(case, max_steps=most).warnings) == told
 
@@ -241,7 +241,7 @@ def test_what_was_fitted_first_is_known_to_its_own_size_at_best() -> None:
     errors = found.usual_errors(found.prior_point)
     own = np.abs(found.prior_point.reals) / found.manifold.scales
     assert np.all(errors[found.model.positives :] >= own)
-    assert np.max(own) > 2.0 * USUAL_SPREAD
+    assert np.max(own) > 2.0 * DEFAULT_PRIOR_STD
 
 
 @pytest.mark.parametrize("fast", [0, 5])

@@ -99,7 +99,7 @@ def test_the_covariance_is_that_of_a_common_error_and_of_small_ones() -> None:
     """``s^2 (1 1^T + I / 25)`` in mirrored coordinates: of four parts, to a hundredth."""
     prior = alike_prior()
     root = prior.root(prior.trusted)
-    covariance = np.linalg.inv(np.diag(np.repeat(prior.problem.usual, 10) ** -2.0) + root.T @ root)
+    covariance = np.linalg.inv(np.diag(np.repeat(prior.problem.default_stds, 10) ** -2.0) + root.T @ root)
     for group in parts():
         places = [10 * member + 4 for member in group.members]
         signs = group.signs[:, 4]

@@ -108,7 +108,7 @@ def test_a_given_prior_says_how_large_an_offset_is() -> None:
     spreads = prior_spreads(
         case.model, case.model.manifold(scales_of_coefficients(case.model, found)[case.model.positives :]), given
     )
-    np.testing.assert_array_equal(spreads[-3:], [EffortOffset.expected_share] * 2 + [0.2])
+    np.testing.assert_array_equal(spreads[-3:], [EffortOffset.prior_std_fraction] * 2 + [0.2])
     assert prior_parameters(case.model, found, given)[-1] == 0.7
 
 

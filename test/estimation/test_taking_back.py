@@ -31,7 +31,7 @@ def case() -> Case:
 
 def begun(of: Case, forgetting_time: float, hold: int) -> Identifier:
     identifier = Identifier(of.model, buffer=BufferSettings(folds=4, block=20, forgetting_time=forgetting_time))
-    identifier.hold(hold)
+    identifier.buffer_last(hold)
     return identifier
 
 
@@ -91,8 +91,8 @@ def test_what_is_taken_again_is_there_as_if_nothing_had_been(forgetting_time: fl
         identifier = add(begun(of, forgetting_time, COUNT), of.samples)
         assert identifier.leave_out("bad", BAD, BEGIN)
         assert not identifier.leave_out("bad", BAD, BEGIN + 50), "it is already"
-        assert identifier.take_again("bad", end)
-        assert not identifier.take_again("bad", end + 1), "it is already"
+        assert identifier.restore_rows("bad", end)
+        assert not identifier.restore_rows("bad", end + 1), "it is already"
         assert_same(identifier, add(begun(of, forgetting_time, 0), expected.samples))
 
 
@@ -104,7 +104,7 @@ def test_what_is_settled_stays() -> None:
         identifier.settle(before)
     identifier.leave_out("bad", BAD, 0)
     identifier.settle(END)
-    identifier.take_again("bad", 0)
+    identifier.restore_rows("bad", 0)
     assert_same(identifier, add(begun(of, np.inf, 0), without(of, 100, END).samples))
 
 
@@ -116,7 +116,7 @@ def test_no_more_is_held_than_was_asked_for() -> None:
         identifier.leave_out("bad", BAD, 0)
         assert_same(identifier, add(begun(of, np.inf, 0), without(of, COUNT - hold).samples))
     identifier = add(begun(of, np.inf, COUNT), of.samples)
-    identifier.hold(50)
+    identifier.buffer_last(50)
     identifier.leave_out("bad", BAD, 0)
     assert_same(identifier, add(begun(of, np.inf, 0), without(of, COUNT - 50).samples))
 
@@ -127,9 +127,9 @@ def test_what_is_left_out_stays_so_though_nothing_is_held(hold: int) -> None:
     of = case()
     identifier = add(begun(of, np.inf, COUNT), of.samples.select(slice(200)))
     identifier.leave_out("bad", BAD, 100)
-    identifier.hold(hold)
+    identifier.buffer_last(hold)
     add(identifier, of.samples.select(slice(200, 300)))
-    identifier.take_again("bad", 300)
+    identifier.restore_rows("bad", 300)
     add(identifier, of.samples.select(slice(300, None)))
     assert_same(identifier, add(begun(of, np.inf, 0), without(of, 100, 300).samples))
 
@@ -148,7 +148,7 @@ def test_least_squares_on_the_rows_that_are_left() -> None:
     of = case()
     identifier = add(begun(of, np.inf, COUNT), of.samples)
     identifier.leave_out("bad", BAD, BEGIN)
-    identifier.take_again("bad", END)
+    identifier.restore_rows("bad", END)
     rows = of.model.rows(of.samples)
     targets = rows.targets.copy()
     targets[BEGIN:END, BAD] = np.nan

@@ -18,12 +18,12 @@ from geomid_ros.estimation.uncertainty import (
     Fold,
     ParameterGroup,
     Uncertainty,
-    doubted,
     error_covariance,
     estimate_uncertainty,
     physical_sensitivity,
     prior_spreads,
     variance_inflation,
+    with_enlarged_prior,
 )
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.signals.kernels import derivative_kernels
@@ -80,7 +80,7 @@ def test_the_covariance_is_that_of_the_errors_whatever_the_weights() -> None:
     measured, known = rows.T @ rows, weighed.T @ weighed
     inverse = np.linalg.inv(measured + trust * known + np.diag(weights))
     parts = error_covariance(inverse, measured, trust, known, np.full(6, inflation), weights * spreads)
-    for found, larger in ((sum(parts), 1.0), (doubted(sum(parts), parts[1]), 3.0)):
+    for found, larger in ((sum(parts), 1.0), (with_enlarged_prior(sum(parts), parts[1]), 3.0)):
         errors = np.linalg.lstsq(left, np.concatenate([of_rows, of_weighed, larger * of_prior]), rcond=None)[0]
         np.testing.assert_allclose(errors @ errors.T / runs, found, rtol=0, atol=0.05 * np.max(found))
 
@@ -329,7 +329,9 @@ def test_correlations_longer_than_a_fold_are_seen() -> None:
     def factor(slopes: FloatArray) -> float:
         folds = [Fold(slope, np.eye(6)) for slope in slopes]
         spreads, groups = np.full(6, 0.2), one_group(6)
-        return 1.0 / estimate_uncertainty(folds, nothing(6), 1.0, spreads**-2.0, np.zeros(6), groups).share
+        return (
+            1.0 / estimate_uncertainty(folds, nothing(6), 1.0, spreads**-2.0, np.zeros(6), groups).independent_fraction
+        )
 
     scaled = 1e3 * slopes
     assert factor(np.repeat(scaled, 2, axis=0)) > 1.5 * max(1.0, factor(np.tile(scaled, (2, 1))))

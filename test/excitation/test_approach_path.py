@@ -12,7 +12,7 @@ from scipy.interpolate import BPoly
 from excitation.arm import urdf
 from excitation.motions import bump, lively
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.approach import Passage
+from geomid_ros.excitation.approach import ApproachPath
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.model.collision import CollisionModel
 from geomid_ros.model.robot import Robot
@@ -30,10 +30,10 @@ def robot(text: str | None = None) -> Robot:
     return Robot(text or urdf(), source="small.urdf")
 
 
-def passage(*avoid: str, standing: tuple[float, ...] = (0.0, 0.0, 0.0)) -> tuple[Passage, CollisionModel]:
+def passage(*avoid: str, standing: tuple[float, ...] = (0.0, 0.0, 0.0)) -> tuple[ApproachPath, CollisionModel]:
     collision = collision_model(Surroundings(avoid=avoid), robot(), Path("small.urdf"))
     assert collision is not None
-    found = Passage(robot(), JOINTS, np.array(standing), collision)
+    found = ApproachPath(robot(), JOINTS, np.array(standing), collision)
     found.keep(np.array([HERE, THERE]), CLEARANCE)
     return found, collision
 
@@ -83,7 +83,7 @@ def test_joints_that_stand_elsewhere_count() -> None:
     """With the second joint bent forwards, the third one, which alone moves, meets the box in front."""
     for bend, free in ((0.0, True), (1.2, False)):
         collision = collision_model(Surroundings(avoid=("box:0.6,0,0.55,0.1,0.6,0.1",)), robot(), Path("small.urdf"))
-        found = Passage(robot(), ("j3",), np.array([0.0, bend, 9.0]), collision)
+        found = ApproachPath(robot(), ("j3",), np.array([0.0, bend, 9.0]), collision)
         ends = np.array([[-1.5], [1.5]])
         found.keep(ends, CLEARANCE)
         if free:
@@ -96,11 +96,11 @@ def test_joints_that_stand_elsewhere_count() -> None:
 def test_postures_that_gravity_forbids_are_not_passed() -> None:
     """Both ends hang; stretched to the side the second joint bears more than its limit, which is just below that."""
     weak = urdf().replace('effort="60"', 'effort="9"')
-    found = Passage(robot(weak), ("j2",), np.zeros(3))
+    found = ApproachPath(robot(weak), ("j2",), np.zeros(3))
     found.keep(np.array([[0.0], [1.6]]), CLEARANCE)
     with pytest.raises(InputError, match=r"gravity takes 1\d\d% of the effort limit of joint 'j2'"):
         found.to(np.zeros(1), np.array([1.6]))
-    strong = Passage(robot(), ("j2",), np.zeros(3))
+    strong = ApproachPath(robot(), ("j2",), np.zeros(3))
     assert len(strong.to(np.zeros(1), np.array([1.6]))) == 1
 
 

@@ -43,8 +43,8 @@ def test_what_breaks_a_limit_is_not_held() -> None:
     reach[0, 1] = 1.0
     towards = ExcitingMotion(TASK.form, feasibility.start, reach)
     through = towards.scaled(1.5 / np.max(np.abs(towards.at(np.linspace(0.0, 6.0, 500))[0])))
-    assert not feasibility.holds(through)
-    assert feasibility.holds(feasibility.made_feasible(through))
+    assert not feasibility.keeps_limits(through)
+    assert feasibility.keeps_limits(feasibility.shrunk_to_feasible(through))
 
 
 def test_efforts_count_with_their_uncertainty() -> None:

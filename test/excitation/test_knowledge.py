@@ -10,7 +10,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, expected_learning, known_before, weight_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, belief_from_estimate, expected_learning, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.samples import samples_of
@@ -32,14 +32,14 @@ def test_more_is_known_afterwards() -> None:
     gained = np.linalg.eigvalsh(KNOWLEDGE.posterior.covariance - after.posterior.covariance)
     assert np.all(gained > -1e-9)
     assert np.max(gained) > 0.01
-    again = known_before(after.model, after.posterior, after.sigmas.tolist(), "here")
+    again = belief_from_estimate(after.model, after.posterior, after.sigmas.tolist(), "here")
     assert np.allclose(again.precision, KNOWLEDGE.precision + KNOWLEDGE.information(motion()), rtol=1e-5, atol=1e-3)
 
 
 def test_an_estimate_of_another_robot_is_refused() -> None:
     other = replace(KNOWLEDGE.posterior, links=("x", *KNOWLEDGE.posterior.links[1:]))
     with pytest.raises(InputError, match=r"estimate.json: an estimate with other links"):
-        known_before(KNOWLEDGE.model, other, [1.0] * 3, "estimate.json")
+        belief_from_estimate(KNOWLEDGE.model, other, [1.0] * 3, "estimate.json")
 
 
 def test_foretold_deviations_are_those_of_many_linear_estimates() -> None:

@@ -12,7 +12,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
 from geomid_ros.excitation.motion import ExcitingMotion
-from geomid_ros.excitation.rivals import deciding_motion, responses
+from geomid_ros.excitation.rivals import discriminating_motion, responses
 from geomid_ros.excitation.search import Search, random_motion
 from geomid_ros.model.effects import AtJoint, OnRobot, effect_class
 from geomid_ros.model.samples import samples_of
@@ -47,10 +47,10 @@ ELASTIC = finding("joint_elasticity", "j2", [("effort_delay", "")], stiffness=30
 def test_a_deciding_motion_tells_more_than_random_ones(own: dict[str, Any], tmp_path: Path) -> None:
     judge, _ = open_questions(TASK.feasibility, written(tmp_path, own))
     random = np.random.default_rng(1)
-    motion = deciding_motion(TASK.feasibility, TASK.form, judge, random)
-    assert TASK.feasibility.holds(motion)
+    motion = discriminating_motion(TASK.feasibility, TASK.form, judge, random)
+    assert TASK.feasibility.keeps_limits(motion)
     others = [
-        judge.least(TASK.feasibility.made_feasible(random_motion(TASK.feasibility, TASK.form, random)))
+        judge.least(TASK.feasibility.shrunk_to_feasible(random_motion(TASK.feasibility, TASK.form, random)))
         for _ in range(6)
     ]
     assert judge.least(motion) > max(others)
@@ -63,8 +63,8 @@ def test_what_a_deciding_motion_shows_is_not_lost_in_making_it_feasible(
     task = small_task(MotionOptions(duration=6.0, repeats=1, avoid=WALLS))
     judge, _ = open_questions(task.feasibility, written(tmp_path, ELASTIC))
     monkeypatch.setattr(Search, "improved", lambda _, motion: motion.scaled(0.0))
-    motion = deciding_motion(task.feasibility, task.form, judge, np.random.default_rng(1))
-    assert task.feasibility.holds(motion)
+    motion = discriminating_motion(task.feasibility, task.form, judge, np.random.default_rng(1))
+    assert task.feasibility.keeps_limits(motion)
     assert judge.least(motion) > judge.least(motion.scaled(0.0)) + 0.1
 
 

@@ -60,7 +60,7 @@ def test_a_designed_motion_is_feasible_and_better_than_random_ones() -> None:
     """On motions that the search has not seen."""
     random = np.random.default_rng(5)
     designed = search().run(random)
-    assert TASK.feasibility.holds(designed)
+    assert TASK.feasibility.keeps_limits(designed)
     assert np.all(TASK.feasibility.largest_scale(designed) >= 1.0 - 1e-9)
     others = [error(random_feasible(TASK.feasibility, TASK.form, random), weight(6)) for _ in range(8)]
     assert error(designed, weight(6)) < min(others)

@@ -10,7 +10,7 @@ import pytest
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief, known_before, weight_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief, belief_from_estimate, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import Search, expected_error, random_motion
 from geomid_ros.model.samples import samples_of
@@ -61,7 +61,7 @@ def test_a_sequence_learns_and_comes_to_an_end() -> None:
         summary.add(rows, measured)
         sigmas = dict(zip(TASK.feasibility.names, prior.sigmas.tolist(), strict=True))
         found = estimate(prior.model, summary, EstimatorSettings(sigma=sigmas))
-        knowledge = known_before(prior.model, found.posterior, prior.sigmas.tolist(), "estimate")
+        knowledge = belief_from_estimate(prior.model, found.posterior, prior.sigmas.tolist(), "estimate")
         errors.append(error(found.parameters, true, other))
     else:
         pytest.fail(f"{MOST} motions, and still worth more than {WORTH:.0%}")

@@ -95,8 +95,8 @@ def test_text_that_is_no_yaml_and_aliases_are_refused(text: str, tmp_path: Path)
 
 FORMS = [
     MotionForm(period=10.0),
-    MotionForm(period=5.0, slow_share=0.0, repeats=3),
-    MotionForm(period=20.0, slow_share=0.5, repeats=2),
+    MotionForm(period=5.0, slow_fraction=0.0, repeats=3),
+    MotionForm(period=20.0, slow_fraction=0.5, repeats=2),
 ]
 
 
@@ -126,7 +126,7 @@ def test_periods_begin_and_end_at_rest(form: MotionForm) -> None:
 
 @pytest.mark.parametrize("form", [FORMS[0], FORMS[2]])
 def test_slow_runs_have_stretches_of_constant_speed_both_ways(form: MotionForm) -> None:
-    begin = (1.0 - form.slow_share) * form.period
+    begin = (1.0 - form.slow_fraction) * form.period
     times = np.linspace(begin, form.period, 5000)
     _, velocity, acceleration, jerk = form.basis(times)[:, :, form.waves :]
     steady = (np.abs(acceleration) < 1e-9) & (np.abs(jerk) < 1e-9) & (np.abs(velocity) > 0.0)

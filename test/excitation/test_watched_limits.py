@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from excitation.motions import BUMP, Motion, bump
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.approach import stopping_accelerations, way_by, way_to_rest
+from geomid_ros.excitation.approach import stopping_accelerations, stopping_trajectory, trajectory_through
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.excitation.watch import RobotLimits, check_motion
 from geomid_ros.files.trajectories import read_trajectory
@@ -75,7 +75,7 @@ def test_the_way_to_the_start_is_slow_and_at_rest_at_both_ends(first: float) -> 
     random = np.random.default_rng(1)
     here, there = random.uniform(-3.0, 3.0, (2, 3))
     limits = np.array([first, 3.0, np.inf])
-    way = way_by(JOINTS, [here, there], limits)
+    way = trajectory_through(JOINTS, [here, there], limits)
     np.testing.assert_allclose(way.positions[[0, -1]], [here, there])
     np.testing.assert_allclose(way.velocities[[0, -1]], 0.0, atol=1e-12)
     np.testing.assert_allclose(way.accelerations[[0, -1]], 0.0, atol=1e-12)
@@ -94,7 +94,7 @@ def test_the_way_to_rest_decelerates_uniformly() -> None:
     random = np.random.default_rng(1)
     position, velocity = random.normal(0.0, 1.0, (2, 3))
     most = np.array([1.0, 4.0, 9.0])
-    way = way_to_rest(JOINTS, position, velocity, most)
+    way = stopping_trajectory(JOINTS, position, velocity, most)
     assert way.accelerations.shape == (1, 0), "else it is no cubic"
     end = way.positions[0]
     np.testing.assert_array_equal(way.velocities, 0.0)
@@ -106,8 +106,8 @@ def test_the_way_to_rest_decelerates_uniformly() -> None:
 
 
 def test_a_joint_stops_as_hard_as_it_moves_and_from_its_limit_in_half_a_second() -> None:
-    motion = way_by(JOINTS, [np.zeros(3), np.array([0.1, 0.1, 0.1])], np.full(3, 2.0)).at_speed(4.0)
+    motion = trajectory_through(JOINTS, [np.zeros(3), np.array([0.1, 0.1, 0.1])], np.full(3, 2.0)).at_speed(4.0)
     own = np.abs(motion.accelerations).max()
     found = stopping_accelerations(motion, np.array([0.01, 3.0, np.inf]))
     np.testing.assert_allclose(found, [own, 6.0, own])
-    assert way_to_rest(JOINTS, np.zeros(3), np.array([0.0, -3.0, 0.0]), found).duration == pytest.approx(0.5)
+    assert stopping_trajectory(JOINTS, np.zeros(3), np.array([0.0, -3.0, 0.0]), found).duration == pytest.approx(0.5)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import DESCRIPTIONS, described
 from geomid_ros.exports.model import Model, read_model
-from geomid_ros.exports.patch_mjcf import into_mjcf
+from geomid_ros.exports.patch_mjcf import patch_user_mjcf
 from geomid_ros.exports.payload import each_link
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.mjcf import mjcf
@@ -172,7 +172,7 @@ CANNOT = {
 def test_what_a_format_cannot_say_is_said(tool: str, tmp_path: Path) -> None:
     at_two = [known for known in EFFECTS if known.joint == "joint2"]
     whole = described(written(tmp_path, [*at_two, SPRING, LOAD]), tool, [], {})
-    sentence = whole.lacks[0]
+    sentence = whole.omissions[0]
     said = {*sentence.removeprefix("Not representable here: ").split("; ")}
     assert said == CANNOT[tool] | {"load friction of joint3"}
     assert sentence in whole.text
@@ -188,7 +188,7 @@ def test_shapes_come_along_as_far_as_their_meshes_are_found(tmp_path: Path) -> N
     compiled = mujoco.MjModel.from_xml_string(whole.text)
     shapes = len(re.findall("<(?:visual|collision)>", URDF))
     assert (compiled.ngeom, compiled.nmesh) == (shapes + 1, 1)
-    (missing,) = whole.lacks
+    (missing,) = whole.omissions
     assert "gone.stl" in missing
     cylinders = [compiled.geom_size[g] for g in range(compiled.ngeom) if compiled.geom_bodyid[g] == 1]
     np.testing.assert_allclose(cylinders[0][:2], [0.07, 0.05])
@@ -235,10 +235,10 @@ def test_into_a_file_of_the_users_own(tmp_path: Path) -> None:
     own = tmp_path / "own.xml"
     text = turned_frames(mjcf(Robot(URDF), {})).replace("<actuator>", "<!-- mine -->\n  <actuator>")
     own.write_text(text)
-    whole = into_mjcf(model, own)
+    whole = patch_user_mjcf(model, own)
     samples, expected = predicted(model)
     np.testing.assert_allclose(in_mujoco(whole.text, samples), expected, atol=DIGITS)
-    assert whole.lacks == []
+    assert whole.omissions == []
     kept = re.compile(r"<inertial [^>]*/>|<joint [^>]*>")
     assert kept.sub("", whole.text) == kept.sub("", text)
 
@@ -249,14 +249,14 @@ def test_a_spring_in_degrees_and_what_others_count_in(tmp_path: Path) -> None:
     own = tmp_path / "own.xml"
     degrees = re.sub('limited="true" range="[^"]*"|inertiafromgeom="false"', "", degrees)
     own.write_text(re.sub('(<body name="tool"[^>]*)/>', r'\1><geom size="0.1"/></body>', degrees))
-    joint = mujoco.MjModel.from_xml_string(into_mjcf(model, own).text).joint("joint2")
+    joint = mujoco.MjModel.from_xml_string(patch_user_mjcf(model, own).text).joint("joint2")
     np.testing.assert_allclose([joint.stiffness[0], joint.qpos_spring[0]], [3.0, 0.5])
     assert "tool" in model.bodies["link3"].merged
-    whole = into_mjcf(model, own)
+    whole = patch_user_mjcf(model, own)
     masses = mujoco.MjModel.from_xml_string(whole.text)
     assert masses.body("tool").mass[0] == 0.0
     assert masses.body("link3").mass[0] == pytest.approx(model.bodies["link3"].mass)
-    assert any("tool" in sentence for sentence in whole.lacks)
+    assert any("tool" in sentence for sentence in whole.omissions)
 
 
 def test_another_robot_is_refused(tmp_path: Path) -> None:
@@ -264,16 +264,16 @@ def test_another_robot_is_refused(tmp_path: Path) -> None:
     text = mjcf(Robot(URDF), {})
     own.write_text(text.replace('name="joint3"', 'name="joint3" pos="0.1 0.1 0.1"', 1))
     with pytest.raises(InputError, match=r"own.xml: with all joints at zero.*\(joint3\)"):
-        into_mjcf(model, own)
+        patch_user_mjcf(model, own)
     own.write_text(re.sub(r'name="(link\d|tool)"', r'name="other_\1"', text))
     with pytest.raises(InputError, match="has none of the bodies link1, link2, link3; those that it has: base_link"):
-        into_mjcf(model, own)
+        patch_user_mjcf(model, own)
 
 
 def test_a_payload_is_carried_by_its_link(tmp_path: Path) -> None:
     model, own = written(tmp_path, [effect("payload", "link3", **PAYLOAD)]), tmp_path / "own.xml"
     own.write_text(mjcf(Robot(URDF), {}))
-    mass = mujoco.MjModel.from_xml_string(into_mjcf(model, own).text).body("link3").mass[0]
+    mass = mujoco.MjModel.from_xml_string(patch_user_mjcf(model, own).text).body("link3").mass[0]
     assert mass == pytest.approx(model.bodies["link3"].mass + PAYLOAD["mass"])
 
 
@@ -285,7 +285,7 @@ def test_a_file_that_only_mujoco_can_read_is_refused(tmp_path: Path) -> None:
     (tmp_path / "part.xml").write_text(f"<mujoco>{body}</mujoco>")
     own.write_text(text.replace(body, '<include file="part.xml"/>'))
     with pytest.raises(InputError, match=r"own.xml: 'link1' is not in this file itself"):
-        into_mjcf(model, own)
+        patch_user_mjcf(model, own)
     own.write_text(text.replace("<worldbody>", '<worldbody><geom size="1" pos="0 0 9" contype="0" contype="0"/>'))
     with pytest.raises(InputError, match=r"own.xml: (not valid XML|MuJoCo cannot read)"):
-        into_mjcf(model, own)
+        patch_user_mjcf(model, own)

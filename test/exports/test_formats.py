@@ -17,7 +17,7 @@ from geometry_msgs.msg import Inertia, Vector3
 
 from geomid_ros.errors import InputError
 from geomid_ros.exports import formats
-from geomid_ros.exports.descriptions import DescriptionFormat, Whole
+from geomid_ros.exports.descriptions import DescriptionFiles, DescriptionFormat
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import Export, attached, each_link
 from geomid_ros.geometry import pseudo_inertia
@@ -39,7 +39,7 @@ TRUTH = ROBOT.seen("tool", "flange")
 
 
 def pasted(export: Export, inertial: Callable[[Export], str]) -> str:
-    return DescriptionFormat((), inertial, lambda _: Whole("", [])).payload(export)
+    return DescriptionFormat((), inertial, lambda _: DescriptionFiles("", [])).payload(export)
 
 
 def line(text: str, start: str) -> str:

@@ -14,7 +14,7 @@ from files.recordings import BAGS, QUICK
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
-from geomid_ros.exports.handover import HandedOver, JudgedFile, ReadBack, read_mjcf_back, read_urdf_back
+from geomid_ros.exports.handover import DescriptionTest, FileTest, ReadBack, read_mjcf_back, read_urdf_back
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import READERS
@@ -34,8 +34,8 @@ def found() -> Identification:
     return geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf")
 
 
-def handed(reader: str) -> HandedOver:
-    return HandedOver(found().session, found().estimate, reader)
+def handed(reader: str) -> DescriptionTest:
+    return DescriptionTest(found().session, found().estimate, reader)
 
 
 def expected(reader: str) -> dict[str, float]:
@@ -70,7 +70,7 @@ def test_springs_rest_and_couplings_are_loaded_as_they_were_fitted(reader: str) 
     """What the file holds: all of it in an MJCF, all but couplings for Gazebo; no offset is left to a sensor."""
     if reader == "mujoco":
         pytest.importorskip("mujoco")
-    result = HandedOver(rich().session, rich().estimate, reader)
+    result = DescriptionTest(rich().session, rich().estimate, reader)
     parameters = rich().estimate.within[reader]
     names = [c.effect.name for c in rich().session.model.coefficients]
     coupled = [parameters[30 + k] for k, name in enumerate(names) if name.startswith("coupled")]
@@ -120,14 +120,12 @@ def test_a_number_that_is_wrong_in_the_file_shows() -> None:
     assert np.all(bad > 2.0 * right)
 
 
-def judged_file(found: float) -> JudgedFile:
+def judged_file(found: float) -> FileTest:
     """Of channel a worse than what it is from, of b as good; ``found``: of all that was found, at a."""
     alone, corrected, given = {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}
     lacks = {"a": ("spring of a",), "b": ()}
     everything = {"a": found, "b": 1.0}
-    return JudgedFile(
-        "f.urdf", "pinocchio", alone=alone, corrected=corrected, given=given, found=everything, lacks=lacks
-    )
+    return FileTest("f.urdf", "pinocchio", alone=alone, corrected=corrected, given=given, found=everything, lacks=lacks)
 
 
 def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel() -> None:

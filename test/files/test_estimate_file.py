@@ -172,7 +172,7 @@ def test_a_model_of_a_doubtful_recording_is_told_first_with_all_reasons(tmp_path
     ],
 )
 def test_what_speaks_against_an_estimate(document: dict[str, Any], said: str) -> None:
-    sentence = EstimateFile.of({"links": [], "effects": [], **document}, "a.json").doubt
+    sentence = EstimateFile.of({"links": [], "effects": [], **document}, "a.json").warning
     assert bool(sentence) == bool(said)
     assert said in sentence
 
@@ -180,4 +180,4 @@ def test_what_speaks_against_an_estimate(document: dict[str, Any], said: str) ->
 @pytest.mark.parametrize("entry", ["doubtful", None, {"result": "fine"}, {"result": "usable", "reasons": "none"}, {}])
 def test_what_is_no_verdict_is_refused(entry: object) -> None:
     with pytest.raises(InputError, match=r"a\.json: "):
-        assert EstimateFile.of({"links": [], "effects": [], "verdict": entry}, "a.json").doubt
+        assert EstimateFile.of({"links": [], "effects": [], "verdict": entry}, "a.json").warning

@@ -17,7 +17,7 @@ from geomid_ros.files.models.estimate_file import EstimateFile, by_channel
 from geomid_ros.files.models.gap_file import GapFile, gap_document, is_open, page_entries
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.written_model import write_model
-from geomid_ros.files.schema import structured
+from geomid_ros.files.schema import from_document
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -97,7 +97,7 @@ def test_what_is_not_a_number_is_null() -> None:
 def test_a_finding_can_be_read_as_an_effect(case: str) -> None:
     result = gap_result(case, JOINTS)  # type: ignore[arg-type]
     (entry,) = gap_document(result, {})["findings"]
-    effect = structured(KnownEffect, entry, "gap.json")
+    effect = from_document(KnownEffect, entry, "gap.json")
     assert (effect.effect, effect.joint) == ("coulomb_friction", "knee")
     assert effect.parameters == result.findings[0].parameters
 

@@ -17,7 +17,7 @@ from signals.sent import JointMessage, WrenchMessage
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.effects_file import combined, payload_parameters, turned_gravity
+from geomid_ros.files.models.effects_file import combined, payload_parameters, tilted_gravity
 from geomid_ros.files.models.estimate_file import estimate_document
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.urdf import read_urdf
@@ -84,7 +84,7 @@ def test_gravity_and_payload_are_predicted(tmp_path: Path) -> None:
     session = session_with(tmp_path, [tilt, effect("payload", "link3", **PAYLOAD)], effects=[""])
     found, samples = predicted(session)
     straight = Robot(ARM)
-    reference = Reference(ARM, gravity=turned_gravity(GRAVITY, [tilt]).tolist())
+    reference = Reference(ARM, gravity=tilted_gravity(GRAVITY, [tilt]).tolist())
     inertias = {body.name: body.parameters for body in straight.bodies}
     inertias["link3"] = inertias["link3"] + payload_parameters(PAYLOAD)
     reference.set_inertias(inertias)
@@ -281,7 +281,7 @@ def test_joints_that_were_locked_for_the_model_are_locked_beside_it(tmp_path: Pa
         session, _ = read_with_locked(
             lambda own: Session(with_gripper(), own, "hand.urdf"),
             configuration,
-            lambda session: session.joints_heard.update(heard),
+            lambda session: session.received_joints.update(heard),
         )
         return session
 
@@ -332,7 +332,7 @@ def test_of_several_shapes_the_known_one_counts(tmp_path: Path) -> None:
     session = session_with(tmp_path, [effect("coulomb_friction", "joint1", level=0.6, smoothing=0.01)], effects=[""])
     shapes = [CoulombFriction(speed) for speed in (0.003, 0.01, 0.05)]
     model = MeasurementModel(session.robot, (), candidates=shapes)
-    told = session.loaded.in_its_shape(model)
+    told = session.loaded.shape_mask(model)
     found = {(c.place_name, c.effect.smoothing) for c, is_told in zip(model.coefficients, told, strict=True) if is_told}
     others = {(joint, shape.smoothing) for joint in ("joint2", "joint3") for shape in shapes}
     assert found == {("joint1", 0.01)} | others

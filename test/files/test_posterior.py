@@ -16,7 +16,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder, write_posterior
-from geomid_ros.gap.evidence.features import Basis, StandingRemainder
+from geomid_ros.gap.evidence.features import Basis, KnownRemainder
 from geomid_ros.model.effects import Quantity
 
 from .estimates import estimate_of, link_estimate
@@ -128,9 +128,9 @@ def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
 SIZES = 5, 3
 
 
-def remainder() -> StandingRemainder:
+def remainder() -> KnownRemainder:
     rng = np.random.default_rng(4)
-    return StandingRemainder(
+    return KnownRemainder(
         joints=("shoulder", "elbow"),
         channels=("effort shoulder", "effort elbow"),
         basis=Basis(np.sort(rng.standard_normal((2, 3, 2))), tuple(rng.uniform(0.5, 2.0, size) for size in SIZES)),

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.archive import archived, pack, unarchived, unpack
-from geomid_ros.files.schema import Vector, plain, structured
+from geomid_ros.files.schema import Vector, from_document, to_document
 from geomid_ros.types import FloatArray
 
 
@@ -59,14 +59,14 @@ OUTER = st.builds(
 @settings(max_examples=50)
 @given(OUTER)
 def test_what_is_written_is_read(value: Outer) -> None:
-    read = structured(Outer, json.loads(json.dumps(plain(value), allow_nan=False)), "file:")
+    read = from_document(Outer, json.loads(json.dumps(to_document(value), allow_nan=False)), "file:")
     np.testing.assert_array_equal(read.centre, value.centre)
     assert {**vars(read), "centre": 0} == {**vars(value), "centre": 0}
 
 
 def test_what_is_no_number_is_null_and_unknown_keys_are_left_alone() -> None:
-    assert plain(Inner("x", math.inf)) == {"name": "x", "value": None, "kind": "a"}
-    read = structured(Inner, {"name": "x", "value": None, "later": [1]}, "file:")
+    assert to_document(Inner("x", math.inf)) == {"name": "x", "value": None, "kind": "a"}
+    read = from_document(Inner, {"name": "x", "value": None, "later": [1]}, "file:")
     assert math.isnan(read.value)
 
 
@@ -97,9 +97,9 @@ GOOD: dict[str, Any] = {"count": 1, "centre": [0, 0, 1.5], "inner": [{"name": "x
     ],
 )
 def test_what_cannot_be_names_its_key_and_what_is_expected(changes: dict[str, Any], message: str) -> None:
-    assert structured(Outer, GOOD, "file:").inner == (Inner("x"),)
+    assert from_document(Outer, GOOD, "file:").inner == (Inner("x"),)
     with pytest.raises(InputError, match=message):
-        structured(Outer, GOOD | changes, "file:")
+        from_document(Outer, GOOD | changes, "file:")
 
 
 RANDOM = np.random.default_rng(0)
@@ -125,7 +125,7 @@ class Kept:
 def test_an_archive_holds_what_was_put_into_it() -> None:
     files = {"a.txt": b"\x00\xff", "empty": b""}
     content = archived(vars(Kept(MATRICES, files, ((MATRICES["upper"],), ()))))
-    read = structured(Kept, unarchived(content), "its text:")
+    read = from_document(Kept, unarchived(content), "its text:")
     assert read.files == files
     assert read.arrays.keys() == MATRICES.keys()
     for name, matrix in MATRICES.items():
@@ -144,13 +144,16 @@ def test_of_a_triangle_its_numbers_alone_are_kept() -> None:
 def test_what_is_no_array_is_refused(value: object, message: str) -> None:
     content = archived({"arrays": {"x": value}, "files": {}})
     with pytest.raises(InputError, match=f"arrays.x is .*{message}"):
-        structured(Kept, unarchived(content), "its text:")
+        from_document(Kept, unarchived(content), "its text:")
 
 
 def test_a_triangle_without_numbers_is_refused_unmade() -> None:
     """However large it claims to be; an empty array is none."""
     empty = np.zeros((0, 7))
-    assert structured(Kept, unarchived(archived({"arrays": {"x": empty}, "files": {}})), "").arrays["x"].shape == (0, 7)
+    assert from_document(Kept, unarchived(archived({"arrays": {"x": empty}, "files": {}})), "").arrays["x"].shape == (
+        0,
+        7,
+    )
     text, vectors = unpack(archived({"arrays": {"x": np.zeros(0)}, "files": {}}))
     claimed = text.replace('"shape": [0]', f'"shape": [0, {10**11}], "triangle": true')
     assert claimed != text

@@ -41,7 +41,7 @@ def prior(inertias: FloatArray | None = None, spread: float = 0.2) -> Prior:
     """What is thought of a robot without effects: these ``inertias (bodies, 10)``, the URDF's unless given."""
     known = model().nominal_inertias if inertias is None else inertias.ravel()
     nothing = np.zeros(0)
-    return Prior(inertias=known, spread=spread, terms=(), values=nothing, spreads=nothing, certainty=4.0)
+    return Prior(inertias=known, prior_std=spread, terms=(), values=nothing, prior_stds=nothing, certainty=4.0)
 
 
 def true_inertias(seed: int, size: float) -> FloatArray:

@@ -17,7 +17,7 @@ ROWS, CHANNELS = 400, 2
 NOISE = 0.1
 LINK = np.array([2.0, 0.2, 0.0, -0.1, 0.3, 0.0, 0.3, 0.0, 0.0, 0.3])
 """Parameters of the link's body."""
-PRIOR = Prior(inertias=LINK, spread=0.2, terms=(), values=np.zeros(0), spreads=np.zeros(0), certainty=4.0)
+PRIOR = Prior(inertias=LINK, prior_std=0.2, terms=(), values=np.zeros(0), prior_stds=np.zeros(0), certainty=4.0)
 
 
 def at(effect: Effect | str, joint: int, odds: float = 0.01) -> Candidate:

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from geomid_ros.gap import analysis
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import _ends, _identifiable
-from geomid_ros.gap.candidates import Candidate, NamesPrior
+from geomid_ros.gap.candidates import Candidate, EffectsPrior
 from geomid_ros.gap.evidence.record import TotalModel
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.inference.selection import Selection
@@ -210,11 +210,11 @@ def test_a_link_may_have_been_changed_beside_names_and_in_the_place_of_a_payload
 ) -> None:
     """What is lighter now carries nothing, whatever else makes a payload likely."""
     known = OtherRecordings(1e2 * np.eye(10), np.zeros(10))
-    identified = replace(PRIOR, spread=0.05, certainty=100.0, identified=True, known=known)
+    identified = replace(PRIOR, prior_std=0.05, certainty=100.0, identified=True, known=known)
     recording, size = Recording(7, [PAYLOAD, VISCOUS]), 0.5 if VISCOUS in names else 0.0
     design = recording.design({VISCOUS.terms[0]: size}, 0.7 * LINK)
 
-    def analysed(prior: NamesPrior, *found: Candidate) -> analysis.Analysis:
+    def analysed(prior: EffectsPrior, *found: Candidate) -> analysis.Analysis:
         search = Selection(design, prior, [PAYLOAD, VISCOUS])
         unused: Any = None
         fits = {"bare": search.fit([]), "names": search.fit(found)}

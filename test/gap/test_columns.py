@@ -40,7 +40,7 @@ def agree(column: FloatArray, expected: FloatArray, share: float) -> None:
 def test_turned_gravity_is_that_of_the_turned_base() -> None:
     gravity = np.array([0.3, -0.2, -9.8])
     expected = pin.exp3(np.array([0.7, -0.4, 0.0])).T @ gravity
-    found = GravityTilt.turned_gravity(gravity, {"tilt_x": 0.7, "tilt_y": -0.4})
+    found = GravityTilt.tilted_gravity(gravity, {"tilt_x": 0.7, "tilt_y": -0.4})
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 

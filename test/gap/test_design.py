@@ -72,8 +72,8 @@ def test_products_are_those_of_the_whitened_columns() -> None:
 
 def test_crossed_products_are_those_with_a_candidate_s_columns() -> None:
     candidate = Candidate(ViscousFriction(), AtJoint(0), (BOTH, SECOND))
-    found = DESIGN.own([candidate], dict(enumerate(DESIGN.places([1], [FIRST]))))
-    assert DESIGN.reached(candidate) == [0, 1]
+    found = DESIGN.candidate_products([candidate], dict(enumerate(DESIGN.places([1], [FIRST]))))
+    assert DESIGN.affected_channels(candidate) == [0, 1]
     for channel in range(CHANNELS):
         mine = stacked(channel, [], [BOTH, SECOND])[:, 10 * LINKS : -1]
         np.testing.assert_allclose(found[channel].crossed[0], mine.T @ stacked(channel, [1], [FIRST]), atol=1e-10)
@@ -83,8 +83,8 @@ def test_crossed_products_are_those_with_a_candidate_s_columns() -> None:
 def test_candidates_have_products_in_the_channels_that_they_reach() -> None:
     both = Candidate(ViscousFriction(), AtJoint(0), (BOTH,))
     candidate = Candidate(ViscousFriction(), AtJoint(2), (SECOND,))
-    assert DESIGN.reached(candidate) == [1]
-    first, second = DESIGN.own([both, candidate], dict(enumerate(DESIGN.places([], []))))
+    assert DESIGN.affected_channels(candidate) == [1]
+    first, second = DESIGN.candidate_products([both, candidate], dict(enumerate(DESIGN.places([], []))))
     assert (first.which.tolist(), second.which.tolist()) == ([0], [0, 1])
     assert (second.crossed.shape, second.squared.shape) == ((2, 1, 10 * LINKS + 1), (2, 1, 1))
     for column, own in zip((BOTH, SECOND), second.squared[:, 0, 0].tolist(), strict=True):
@@ -94,8 +94,8 @@ def test_candidates_have_products_in_the_channels_that_they_reach() -> None:
 
 def test_a_payload_has_the_columns_of_its_link() -> None:
     candidate = Candidate(CarriedBody(), OnLink(1, 1), ())
-    assert DESIGN.reached(candidate) == [0, 1]
-    found = DESIGN.own([candidate], dict(enumerate(DESIGN.places([], [FIRST]))))
+    assert DESIGN.affected_channels(candidate) == [0, 1]
+    found = DESIGN.candidate_products([candidate], dict(enumerate(DESIGN.places([], [FIRST]))))
     for channel in range(CHANNELS):
         mine = stacked(channel, [], [])[:, 10:20]
         np.testing.assert_allclose(found[channel].crossed[0], mine.T @ stacked(channel, [], [FIRST]), atol=1e-10)

@@ -56,8 +56,8 @@ def said(found: JointFit, design: Design) -> OtherRecordings:
 
 
 def test_what_is_known_of_a_recording_counts_as_if_it_were_fitted_again() -> None:
-    first, second, both = (fit(designed(*seeds), planted.prior(), [], spread=0.2) for seeds in ((7,), (8,), (7, 8)))
-    again = fit(designed(8), replace(planted.prior(), known=said(first, designed(7))), [], spread=0.2)
+    first, second, both = (fit(designed(*seeds), planted.prior(), [], prior_std=0.2) for seeds in ((7,), (8,), (7, 8)))
+    again = fit(designed(8), replace(planted.prior(), known=said(first, designed(7))), [], prior_std=0.2)
 
     def errors(found: JointFit) -> float:
         """Mean square of the distance from the fit to both, in its standard deviations."""
@@ -72,7 +72,7 @@ def test_what_is_known_of_a_recording_counts_as_if_it_were_fitted_again() -> Non
 def test_what_is_known_is_trusted_as_far_as_it_agrees() -> None:
     """Recordings whose links seem others, by many times what their noise allows, had errors of the model."""
     first, second = designed(7, friction=0.0), designed(8, friction=0.0)
-    known = said(fit(first, planted.prior(), [], spread=0.2), first)
+    known = said(fit(first, planted.prior(), [], prior_std=0.2), first)
     agreeing = fit(second, replace(planted.prior(), known=known), [])
     assert agreeing.inflation < 2.0
     shifted = OtherRecordings(known.rows, known.residuals + 100.0 * np.random.default_rng(5).standard_normal(30))
@@ -94,7 +94,7 @@ def test_a_payload_is_reached_from_afar() -> None:
         Records.make([planted.recording(planted.rigid(loaded), 9)], planted.CUTOFF),
         total_model(MODEL, unfitted(planted.prior())),
     )
-    precise = replace(planted.prior(), inertias=inertias[list(MODEL.identified)].ravel(), spread=1e-3, certainty=1e4)
+    precise = replace(planted.prior(), inertias=inertias[list(MODEL.identified)].ravel(), prior_std=1e-3, certainty=1e4)
     payload = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)
     found = fit(problem.design(problem.columns([payload], ()), WHITE), precise, [payload])
     body = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[-1]
@@ -104,5 +104,5 @@ def test_a_payload_is_reached_from_afar() -> None:
 
 def test_the_spread_of_the_inertias_is_found(design: Design, bare: JointFit) -> None:
     """The planted errors are of the usual size; a prior that takes them for ten times smaller is corrected."""
-    assert np.all((bare.spreads > 0.1) & (bare.spreads < 0.35))
-    assert np.max(fit(design, planted.prior(spread=0.02), []).spreads) > 0.06
+    assert np.all((bare.prior_stds > 0.1) & (bare.prior_stds < 0.35))
+    assert np.max(fit(design, planted.prior(spread=0.02), []).prior_stds) > 0.06

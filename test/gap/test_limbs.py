@@ -14,7 +14,9 @@ from geomid_ros.types import IntArray
 from .small import LINK, ROWS, at
 
 NAMES = tuple(at(effect, joint) for effect in ("viscous_friction", "coulomb_friction", "spring") for joint in (0, 1))
-PRIOR = Prior(inertias=np.tile(LINK, 2), spread=0.2, terms=(), values=np.zeros(0), spreads=np.zeros(0), certainty=4.0)
+PRIOR = Prior(
+    inertias=np.tile(LINK, 2), prior_std=0.2, terms=(), values=np.zeros(0), prior_stds=np.zeros(0), certainty=4.0
+)
 
 
 def channel(rng: np.random.Generator, link: int) -> ChannelRows:

@@ -48,10 +48,10 @@ def said(values: dict[EffectTerm, float]) -> JointFit:
     return unfitted(
         Prior(
             inertias=INERTIAS.ravel(),
-            spread=0.2,
+            prior_std=0.2,
             terms=tuple(values),
             values=known,
-            spreads=np.ones(len(known)),
+            prior_stds=np.ones(len(known)),
             certainty=4.0,
         )
     )
@@ -147,8 +147,8 @@ def test_a_gain_scales_a_tilt_and_a_delay_that_are_built_in() -> None:
 def test_the_total_model_has_every_payload_on_its_link_and_coefficients_in_order() -> None:
     problem = LinearisedProblem(MODEL, Records.make([exact()], planted.CUTOFF), total_model(MODEL, said({})))
     prior = Prior(
-        inertias=INERTIAS.ravel(), spread=0.2, terms=TILT, values=np.array([0.01, 0.02]),
-        spreads=np.ones(2), certainty=4.0,
+        inertias=INERTIAS.ravel(), prior_std=0.2, terms=TILT, values=np.array([0.01, 0.02]),
+        prior_stds=np.ones(2), certainty=4.0,
     )  # fmt: skip
     white = (Autoregression.white(),) * 3
     found = fit(problem.design(problem.columns([PAYLOAD], prior.terms), white), prior, [PAYLOAD])
@@ -165,7 +165,7 @@ def test_the_total_model_has_every_payload_on_its_link_and_coefficients_in_order
 @pytest.mark.parametrize(("tilt", "absurd"), [((0.3, -0.4), False), ((0.0, 0.6), True), ((-6e49, 0.0), True)])
 def test_a_base_that_is_far_from_level_is_no_tilt(tilt: tuple[float, float], absurd: bool) -> None:
     """It is mounted otherwise; and what a motion does not tell may be anything."""
-    assert GravityTilt().is_absurd(np.array(tilt)) is absurd
+    assert GravityTilt().is_out_of_range(np.array(tilt)) is absurd
 
 
 def test_absurd_coefficients_are_not_linearised_at() -> None:
@@ -187,7 +187,7 @@ def test_the_variance_of_a_prediction_is_that_of_its_parameters() -> None:
     records = Records.make([planted.recording(RIGID, 3, SECONDS)], planted.CUTOFF)
     problem = LinearisedProblem(MODEL, records, total_model(MODEL, said({VISCOUS: 0.1})))
     prior = Prior(
-        inertias=INERTIAS.ravel(), spread=0.2, terms=(VISCOUS,), values=np.array([0.1]), spreads=np.array([0.1]),
+        inertias=INERTIAS.ravel(), prior_std=0.2, terms=(VISCOUS,), values=np.array([0.1]), prior_stds=np.array([0.1]),
         certainty=4.0,
     )  # fmt: skip
     columns = problem.columns([PAYLOAD], prior.terms)

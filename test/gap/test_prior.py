@@ -43,8 +43,8 @@ def test_what_a_changed_link_was_is_marginalised(link: int) -> None:
 
 def test_a_changed_link_may_be_any() -> None:
     changed = IDENTIFIED.with_changed(1)
-    np.testing.assert_array_equal(IDENTIFIED.link_spreads, [0.05, 0.05, 0.05])
-    np.testing.assert_array_equal(changed.link_spreads, [0.05, 0.5, 0.05])
+    np.testing.assert_array_equal(IDENTIFIED.link_prior_stds, [0.05, 0.05, 0.05])
+    np.testing.assert_array_equal(changed.link_prior_stds, [0.05, 0.5, 0.05])
     assert squares(changed, np.zeros(30)) == squares(changed, np.repeat([0.0, 1.0, 0.0], 10))
 
 
@@ -63,7 +63,7 @@ def test_without_other_recordings_each_effect_is_known_as_well_as_they_said() ->
     """By itself, the links' errors integrated out; and it may have changed since then."""
     rows, spreads, changes = RANDOM.normal(scale=2.0, size=(12, 32)), np.array([0.3, 5.0, 7.0]), np.array([0.1, 0.2])
     known = OtherRecordings(rows, np.zeros(12), changes)
-    prior = replace(IDENTIFIED, terms=("a", "b", "c"), values=np.ones(3), spreads=spreads, known=known)
+    prior = replace(IDENTIFIED, terms=("a", "b", "c"), values=np.ones(3), prior_stds=spreads, known=known)
     manifold = StraightManifold(3, 0, np.ones(0))
     jacobian = manifold.whiten(manifold.point(IDENTIFIED.inertias), np.eye(30))
     links = 0.05**2 * jacobian @ jacobian.T
@@ -73,5 +73,5 @@ def test_without_other_recordings_each_effect_is_known_as_well_as_they_said() ->
     then = np.diag(covariance - gain @ rows @ covariance)[30:]
     alone = prior.by_itself
     assert alone.known is None
-    np.testing.assert_allclose(alone.spreads, np.append(np.sqrt(then + changes**2), spreads[2]), rtol=1e-8)
+    np.testing.assert_allclose(alone.prior_stds, np.append(np.sqrt(then + changes**2), spreads[2]), rtol=1e-8)
     assert alone.by_itself is alone

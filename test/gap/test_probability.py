@@ -86,7 +86,7 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
     assert said[1].loss == pytest.approx(search.without(found, VISCOUS).score - found.score)
     unused: Any = None
     whole = analysis.Analysis(
-        problem=unused, search=search, bare=search.fit([]), names=found, supports=dict([said]), floor=unused
+        problem=unused, search=search, bare=search.fit([]), effects=found, supports=dict([said]), floor=unused
     )
     assert whole.likely.chosen == (VISCOUS,)
     ranked = ranking(planted.model(), whole, ())

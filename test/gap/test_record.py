@@ -204,7 +204,7 @@ def test_the_situation_is_that_of_the_total_model() -> None:
     bend = np.gradient(np.gradient(rigid(q, v, a), times, axis=0), times, axis=0)[chosen]
     np.testing.assert_allclose(situation.load_acceleration[5:-5], bend[5:-5], atol=0.15 * np.std(bend))
     # So are functions of the load, each layer by itself.
-    layers = situation.of_load(lambda load, _: np.stack([load, -2.0 * load], axis=2))
+    layers = situation.from_load_history(lambda load, _: np.stack([load, -2.0 * load], axis=2))
     for each, expected in zip(layers, (load, slope, bend), strict=True):
         np.testing.assert_allclose(each[5:-5, :, 0], expected[5:-5], atol=0.15 * np.std(expected))
         np.testing.assert_array_equal(each[:, :, 1], -2.0 * each[:, :, 0])

@@ -12,7 +12,7 @@ from geomid_ros.gap import workflow
 from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.result import GapResult, Rival
-from geomid_ros.gap.workflow import CUTOFF, find_gap, left_by_model
+from geomid_ros.gap.workflow import CUTOFF, find_gap, residual_rms
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
@@ -58,7 +58,7 @@ def result() -> GapResult:
         [TRAIN],
         [UNSEEN],
         nominal=nominal(**{JOINTS[0]: KNOWN}),
-        beside=[BESIDE],
+        other_effects=[BESIDE],
         progress=lambda what, share: PROGRESS.append((what, share)),
     )
 
@@ -90,9 +90,9 @@ def test_a_name_is_likely_if_it_or_a_rival_is_rather_than_nothing(
 
 def test_a_model_with_effects_beside_its_coefficients_is_judged_as_the_search_begins(result: GapResult) -> None:
     known = nominal(**{JOINTS[0]: KNOWN})
-    left = left_by_model(MODEL, [UNSEEN], CUTOFF, known, [BESIDE])
+    left = residual_rms(MODEL, [UNSEEN], CUTOFF, known, [BESIDE])
     np.testing.assert_allclose(left, result.gap.before * result.floor, rtol=1e-9)
-    without = left_by_model(MODEL, [UNSEEN], CUTOFF, known, [])
+    without = residual_rms(MODEL, [UNSEEN], CUTOFF, known, [])
     assert without[2] > 1.5 * left[2]
     np.testing.assert_allclose(without[:2], left[:2], rtol=1e-9)
 
@@ -171,7 +171,7 @@ class TestPrior:
     def test_of_a_bare_urdf_everything_is_a_guess(self) -> None:
         prior = self.prior()
         np.testing.assert_array_equal(prior.inertias, MODEL.nominal_inertias)
-        assert (prior.spread, prior.certainty, prior.terms, prior.known) == (0.2, 20.0, (), None)
+        assert (prior.prior_std, prior.certainty, prior.terms, prior.known) == (0.2, 20.0, (), None)
 
     def test_what_was_identified_is_hardly_wrong(self) -> None:
         values = nominal()
@@ -179,7 +179,7 @@ class TestPrior:
         prior = self.prior(values)
         np.testing.assert_array_equal(prior.inertias[:10], values[:10])
         np.testing.assert_array_equal(prior.inertias[10:], MODEL.nominal_inertias[10:])
-        assert (prior.spread, prior.certainty) == (0.05, 100.0)
+        assert (prior.prior_std, prior.certainty) == (0.05, 100.0)
         assert prior.known is not None
 
     def test_effects_are_a_fiftieth_unsure_or_as_they_say_where_that_is_more(self) -> None:
@@ -188,10 +188,10 @@ class TestPrior:
         prior = self.prior(values)
         assert prior.terms == tuple(EffectTerm(ViscousFriction(), AtJoint(joint)) for joint in (0, 1))
         np.testing.assert_allclose(prior.values, [0.5, -1e-4])
-        np.testing.assert_allclose(prior.spreads, [0.01, 1e-3])
+        np.testing.assert_allclose(prior.prior_stds, [0.01, 1e-3])
         unsure = np.full(MODEL.dimension, np.nan)
         unsure[len(MODEL.nominal_inertias)] = 0.4
-        np.testing.assert_allclose(self.prior(values, unsure).spreads, [0.4, 1e-3])
+        np.testing.assert_allclose(self.prior(values, unsure).prior_stds, [0.4, 1e-3])
 
     def test_only_what_is_small_may_change_by_a_small_share_of_what_is_measured(self) -> None:
         """Of a larger coefficient the change is to be named, whatever else the joint carries."""
@@ -199,11 +199,11 @@ class TestPrior:
         measured, velocity = (np.sqrt(np.mean(part[:, :2] ** 2, axis=0)) for part in (TRAIN.effort, TRAIN.velocity))
         share = 0.01 * measured / velocity
         prior = self.prior(nominal(**{JOINTS[0]: 0.8 * share[0], JOINTS[1]: 1.2 * share[1]}))
-        own = OtherRecordings(np.zeros((1, 32)), np.zeros(1), prior.spreads)
+        own = OtherRecordings(np.zeros((1, 32)), np.zeros(1), prior.prior_stds)
         found = workflow._with_least_stds(BARE, records, replace(prior, known=own))
-        np.testing.assert_allclose(found.spreads, [share[0], prior.spreads[1]], rtol=0.05)
+        np.testing.assert_allclose(found.prior_stds, [share[0], prior.prior_stds[1]], rtol=0.05)
         assert found.known is not None
-        np.testing.assert_array_equal(found.known.changes, found.spreads)
+        np.testing.assert_array_equal(found.known.changes, found.prior_stds)
 
     @pytest.mark.parametrize(("std", "expected"), [(0.0, 0.02), (0.001, 0.02), (0.02, 0.15), (np.inf, 0.02)])
     def test_an_effect_beside_the_coefficients_is_as_unsure_as_its_motion_says(
@@ -213,7 +213,7 @@ class TestPrior:
         records = Records.make([TRAIN], planted.CUTOFF)
         prior, _ = workflow._with_other_effects(BARE, records, self.prior(), [beside])
         np.testing.assert_allclose(prior.values, [LOAD])
-        np.testing.assert_allclose(prior.spreads, [expected * LOAD])
+        np.testing.assert_allclose(prior.prior_stds, [expected * LOAD])
 
 
 def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -223,7 +223,7 @@ def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: py
     given = workflow._prior(BARE, INERTIAS.ravel(), None, information)
     assert given.known is not None
     terms = (EffectTerm(ViscousFriction(), AtJoint(1)), EffectTerm(CoulombFriction(), AtJoint(2)))
-    shown = replace(given, terms=terms, values=np.array([2.0, 0.001]), spreads=np.ones(2), known=None)
+    shown = replace(given, terms=terms, values=np.array([2.0, 0.001]), prior_stds=np.ones(2), known=None)
     asked = []
 
     def analyse(_: object, __: object, prior: workflow.Prior, ___: object) -> object:
@@ -234,9 +234,14 @@ def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: py
     prior = workflow._as_simulated(BARE, records, given, lambda *_: None)
     assert [own.known for own in asked] == [None]
     np.testing.assert_allclose(prior.inertias, INERTIAS.ravel())
-    assert (prior.terms, prior.known, prior.spread, prior.certainty) == (terms, None, given.spread, given.certainty)
+    assert (prior.terms, prior.known, prior.prior_std, prior.certainty) == (
+        terms,
+        None,
+        given.prior_std,
+        given.certainty,
+    )
     np.testing.assert_allclose(prior.values, [2.0, 0.001])
-    np.testing.assert_allclose(prior.spreads, [0.04, 1e-3])
+    np.testing.assert_allclose(prior.prior_stds, [0.04, 1e-3])
 
 
 class TestRefusals:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
+from geomid_ros.gap.candidates import Candidate, EffectsFit, EffectTerm
 from geomid_ros.inference.selection import KEPT_PROMISE, Selection
 from geomid_ros.model.effects.friction import SPEEDS, CoulombFriction, StribeckFriction
 
@@ -33,7 +33,7 @@ def search(
     return Selection(recording.design(values), PRIOR, among)
 
 
-def names(found: NamesFit | None) -> set[Candidate]:
+def names(found: EffectsFit | None) -> set[Candidate]:
     assert found is not None
     return set(found.chosen)
 
@@ -76,8 +76,8 @@ def test_names_with_a_wrong_sign_are_impossible() -> None:
 def test_a_payload_that_outweighs_the_robot_is_impossible() -> None:
     for times, possible in ((0.5, True), (1.5, False)):
         recording = Recording(1, [])
-        heavy = Selection(recording.design({}, link=(1.0 + times) * LINK), replace(PRIOR, spread=1e-2), [PAYLOAD])
-        precise = replace(PRIOR, spread=1e-3, certainty=1e6)
+        heavy = Selection(recording.design({}, link=(1.0 + times) * LINK), replace(PRIOR, prior_std=1e-2), [PAYLOAD])
+        precise = replace(PRIOR, prior_std=1e-3, certainty=1e6)
         heavy = Selection(heavy.design, precise, [PAYLOAD])
         found = heavy.fit([PAYLOAD])
         mass = found.point.pseudo_inertias[1, 3, 3]

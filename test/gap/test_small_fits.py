@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
-from geomid_ros.gap.candidates import Candidate, EffectTerm, not_driving
+from geomid_ros.gap.candidates import Candidate, EffectTerm, passivity_constraints
 from geomid_ros.gap.judgement.sentences import parameters
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.inference import prior as before
@@ -118,7 +118,7 @@ def test_a_row_that_a_name_explains_exactly_does_not_lose_itself_in_the_remainde
     design, found = Design.of((few, other), whole.dimension), None
     for _ in range(6):
         found = fit(design, PRIOR, [VISCOUS], found)
-        design = found.settled(design)
+        design = found.with_fitted_remainder(design)
         assert design.gather([], found.terms).targets[0] > 0.0
         assert np.isfinite(found.score)
 
@@ -182,24 +182,26 @@ def test_the_spread_is_the_one_of_the_best_score(planted: float, expected: float
         body = root @ spd.sym_exp(planted * 0.5 * (direction + direction.T)) @ root
         design = designed(seed, link=np.asarray(pseudo_inertia.to_parameters(body)))
         found = fit(design, PRIOR, [])
-        spreads.append(found.spreads[0])
-        around = [fit(design, PRIOR, [], spread=float(found.spreads[0]) * factor).score for factor in (0.75, 1.0, 1.35)]
+        spreads.append(found.prior_stds[0])
+        around = [
+            fit(design, PRIOR, [], prior_std=float(found.prior_stds[0]) * factor).score for factor in (0.75, 1.0, 1.35)
+        ]
         assert around[1] == min(around)
     assert np.median(spreads) == pytest.approx(expected, rel=0.35)
 
 
 def test_a_spread_that_is_certain_stays() -> None:
     far = designed(1, link=2.0 * LINK)
-    assert fit(far, replace(PRIOR, certainty=1e7), []).spreads[0] == pytest.approx(0.2, rel=1e-3)
-    assert fit(far, PRIOR, []).spreads[0] > 0.25
-    assert fit(far, replace(PRIOR, spread=1e-3, certainty=1e-3), [], spread=0.07).spreads[0] == 0.07
+    assert fit(far, replace(PRIOR, certainty=1e7), []).prior_stds[0] == pytest.approx(0.2, rel=1e-3)
+    assert fit(far, PRIOR, []).prior_stds[0] > 0.25
+    assert fit(far, replace(PRIOR, prior_std=1e-3, certainty=1e-3), [], prior_std=0.07).prior_stds[0] == 0.07
 
 
 class TestWhatTheModelHas:
     """Effects with values and spreads that are known before."""
 
     def fit(self, value: float, spread: float, chosen: tuple[Candidate, ...] = (), planted: float = 0.3) -> JointFit:
-        prior = replace(PRIOR, terms=(TERM,), values=np.array([value]), spreads=np.array([spread]))
+        prior = replace(PRIOR, terms=(TERM,), values=np.array([value]), prior_stds=np.array([spread]))
         return fit(designed(5, planted), prior, chosen)
 
     def test_of_two_that_are_as_sure_the_mean_is_taken(self) -> None:
@@ -215,15 +217,15 @@ class TestWhatTheModelHas:
     def test_one_that_nothing_shows_is_what_it_was(self) -> None:
         recording = Recording(5, NAMES)
         recording.columns[TERM] *= 0.0
-        prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), spreads=np.array([0.05]))
+        prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), prior_stds=np.array([0.05]))
         found = fit(recording.design({}), prior, [])
         assert found.value(TERM) == pytest.approx(0.4)
         assert np.sqrt(found.covariance[found.place(TERM), found.place(TERM)]) == pytest.approx(0.05, rel=1e-3)
 
     def test_it_is_what_an_unfitted_model_says(self) -> None:
-        prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), spreads=np.array([0.05]))
+        prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), prior_stds=np.array([0.05]))
         found = unfitted(prior)
-        assert (found.value(TERM), found.chosen, found.bodies, found.spreads[0]) == (0.4, (), [], PRIOR.spread)
+        assert (found.value(TERM), found.chosen, found.bodies, found.prior_stds[0]) == (0.4, (), [], PRIOR.prior_std)
         np.testing.assert_allclose(found.point.parameters, np.append(LINK, 0.4))
 
 
@@ -234,7 +236,7 @@ class TestScoreTest:
         recording.columns[TERM] += 2.0 * recording.columns[OFFSET.terms[0]] + recording.coefficients[:, 0, 0]
         recording.coefficients[:, 1] *= 1e-3  # else the other channel tells the inertias, and they imitate less
         design = recording.design({TERM: 0.3})
-        current = fit(design, replace(PRIOR, certainty=1e6, spread=50.0), [OFFSET], spread=50.0)
+        current = fit(design, replace(PRIOR, certainty=1e6, prior_std=50.0), [OFFSET], prior_std=50.0)
         separability = score_test(design, current, VISCOUS).separability
         others = np.column_stack([recording.coefficients[:, 0], recording.columns[OFFSET.terms[0]]])
         column = recording.columns[TERM]
@@ -266,7 +268,7 @@ class TestScoreTest:
         design = designed(8, value)
         bare = fit(design, PRIOR, [])
         gain = score_test(design, bare, VISCOUS).gain
-        exact = bare.score - fit(design, PRIOR, [VISCOUS], spread=float(bare.spreads[0])).score
+        exact = bare.score - fit(design, PRIOR, [VISCOUS], prior_std=float(bare.prior_stds[0])).score
         assert gain == pytest.approx(exact, rel=0.05, abs=1.0)
 
     @pytest.mark.parametrize("seed", [8, 9])
@@ -275,9 +277,9 @@ class TestScoreTest:
         recording, spread = Recording(seed, NAMES), 0.02
         recording.columns[TERM] += recording.coefficients[:, 0, 0]
         design = recording.design({TERM: 0.03}, 1.2 * LINK)
-        bare = fit(design, PRIOR, [], spread=spread)
+        bare = fit(design, PRIOR, [], prior_std=spread)
         gain = score_test(design, bare, VISCOUS).gain
-        exact = bare.score - fit(design, PRIOR, [VISCOUS], bare, spread=spread).score
+        exact = bare.score - fit(design, PRIOR, [VISCOUS], bare, prior_std=spread).score
         assert gain == pytest.approx(exact, abs=2.0)
 
 
@@ -315,14 +317,14 @@ class TestBlocks:
 
 def known_rows(known: OtherRecordings) -> FloatArray:
     """Of a link and no effects."""
-    return known.of_now(10, 10, {})[0]
+    return known.present_rows(10, 10, {})[0]
 
 
 class TestOtherRecordings:
     KNOWN = OtherRecordings(np.random.default_rng(1).normal(size=(12, 10)), np.arange(12.0))
 
     def test_rows_of_links_alone_say_nothing_of_effects(self) -> None:
-        rows, cost = self.KNOWN.of_now(13, 10, {})
+        rows, cost = self.KNOWN.present_rows(13, 10, {})
         np.testing.assert_array_equal(rows[:, :10], self.KNOWN.rows)
         np.testing.assert_array_equal(rows[:, 10:13], np.zeros((12, 3)))
         np.testing.assert_array_equal(rows[:, 13], np.arange(12.0))
@@ -334,7 +336,7 @@ class TestOtherRecordings:
         rng = np.random.default_rng(2)
         changes, spread = np.array([0.5, 2.0]), 3.0
         known = OtherRecordings(rng.normal(size=(12, 12)), rng.normal(size=12), changes)
-        rows, cost = known.of_now(20, 15, {})
+        rows, cost = known.present_rows(20, 15, {})
         own = rows[:, [*range(10), 15, 16]]
         assert not np.any(rows[:, [*range(10, 15), 17, 18, 19]])
         then, now = (np.linalg.inv(each.T @ each) for each in (known.rows, own))
@@ -343,7 +345,7 @@ class TestOtherRecordings:
         np.testing.assert_allclose(*best, rtol=1e-8)
         determinants = [np.linalg.slogdet(each)[1] for each in (now, then)]
         assert cost == pytest.approx(determinants[0] - determinants[1])
-        others, more = known.of_now(20, 15, {1: spread})
+        others, more = known.present_rows(20, 15, {1: spread})
         assert not np.any(others[:, 16])
         left = own.T @ own + np.diag([*np.zeros(11), spread**-2])
         links = left[:11, :11] - np.outer(left[:11, 11], left[11, :11]) / left[11, 11]
@@ -354,7 +356,7 @@ class TestOtherRecordings:
     def test_recordings_that_are_trusted_less_say_less_of_then_and_of_now(self) -> None:
         rng = np.random.default_rng(4)
         known = OtherRecordings(rng.normal(size=(12, 12)), rng.normal(size=12), np.array([0.5, 2.0]))
-        (rows, cost), (fewer, same) = (each.of_now(12, 10, {}) for each in (known, known.trusted(9.0)))
+        (rows, cost), (fewer, same) = (each.present_rows(12, 10, {}) for each in (known, known.inflated(9.0)))
         np.testing.assert_allclose(9.0 * fewer.T @ fewer, rows.T @ rows, rtol=1e-9, atol=1e-9)
         assert same == pytest.approx(cost)
 
@@ -363,9 +365,9 @@ class TestOtherRecordings:
         design = Recording(3, [VISCOUS]).design({})
         rng, nothing = np.random.default_rng(5), np.zeros(1)
         known = OtherRecordings(rng.normal(size=(3, 11)), rng.normal(size=3), np.array([1.5]))
-        rows, cost = known.of_now(11, 10, {})
+        rows, cost = known.present_rows(11, 10, {})
         done = OtherRecordings(rows[:, :-1], rows[:, -1], nothing)
-        prior = replace(PRIOR, terms=(TERM,), values=nothing, spreads=np.ones(1))
+        prior = replace(PRIOR, terms=(TERM,), values=nothing, prior_stds=np.ones(1))
         scores = [fit(design, replace(prior, known=each), []).score for each in (known, done)]
         assert scores[0] - scores[1] == pytest.approx(cost)
         assert cost > 0.1
@@ -417,7 +419,9 @@ class TestPayloadStart:
 
     def test_a_payload_s_mass_and_centre_are_found(self) -> None:
         """Beside inertias that are nearly certain."""
-        precise = Prior(inertias=LINK, spread=1e-3, terms=(), values=np.zeros(0), spreads=np.zeros(0), certainty=1e6)
+        precise = Prior(
+            inertias=LINK, prior_std=1e-3, terms=(), values=np.zeros(0), prior_stds=np.zeros(0), certainty=1e6
+        )
         for mass, centre in ((0.1, [0.0, 0.0, 0.0]), (1.0, [0.5, -0.3, 0.2]), (1.5, [0.0, 1.0, 0.0])):
             offset = np.array(centre)
             about = (offset @ offset + 0.02) * np.eye(3) - np.outer(offset, offset)
@@ -434,7 +438,7 @@ def test_a_payload_s_parameters_are_as_sure_as_its_body() -> None:
     """By differences of mass, centre and central inertia with each of the body's ten parameters; and but for the gain
     of what is measured, which leaves the centre where it is."""
     design = Recording(2, []).design({}, 1.4 * LINK)
-    found = fit(design, replace(PRIOR, spread=1e-3, certainty=1e6), [PAYLOAD])
+    found = fit(design, replace(PRIOR, prior_std=1e-3, certainty=1e6), [PAYLOAD])
     quantities = parameters(MODEL, found, PAYLOAD)
     body = np.asarray(pseudo_inertia.to_parameters(found.point.pseudo_inertias))[1]
 
@@ -492,8 +496,8 @@ def test_known_dry_friction_drives_no_joint(excess: float, known: str | None) ->
     recording = Recording(4, [stribeck, VISCOUS])
     design = recording.design({level: 1.0, own: excess})
     others = OtherRecordings(np.random.default_rng(1).normal(scale=3.0, size=(8, 10)), np.zeros(8)) if known else None
-    wide = {"inertias": LINK, "spread": 0.2, "certainty": 4.0, "known": others, "held": not_driving}
-    found = fit(design, Prior(terms=(level, own), values=np.ones(2), spreads=np.full(2, 1e3), **wide), [])
+    wide = {"inertias": LINK, "spread": 0.2, "certainty": 4.0, "known": others, "held": passivity_constraints}
+    found = fit(design, Prior(terms=(level, own), values=np.ones(2), prior_stds=np.full(2, 1e3), **wide), [])
     if excess > -1.0:
         assert found.value(own) == pytest.approx(excess, abs=0.05)
         return
@@ -502,7 +506,7 @@ def test_known_dry_friction_drives_no_joint(excess: float, known: str | None) ->
     merged.columns[TERM] = merged.columns[level] - merged.columns[own]
     one = fit(
         merged.design({level: 1.0, own: excess}),
-        Prior(terms=(TERM,), values=np.ones(1), spreads=np.full(1, 1e3), **wide),
+        Prior(terms=(TERM,), values=np.ones(1), prior_stds=np.full(1, 1e3), **wide),
         [],
     )
     assert found.value(level) == pytest.approx(one.value(TERM), rel=1e-3)

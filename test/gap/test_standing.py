@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.gap.analysis import standing_remainder
-from geomid_ros.gap.evidence.features import LARGEST_SCALE, StandingRemainder
+from geomid_ros.gap.analysis import known_remainder
+from geomid_ros.gap.evidence.features import LARGEST_SCALE, KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.workflow import find_gap, lacking
+from geomid_ros.gap.workflow import find_gap, remainder_of_model
 from geomid_ros.inference.fit import unfitted
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -43,8 +43,8 @@ def recorded(seed: int, more: float = 0.0) -> Samples:
 
 
 @cache
-def standing() -> StandingRemainder:
-    found = lacking(MODEL, [recorded(1)], planted.CUTOFF, LINKS.ravel(), ())
+def standing() -> KnownRemainder:
+    found = remainder_of_model(MODEL, [recorded(1)], planted.CUTOFF, LINKS.ravel(), ())
     assert found is not None
     return found
 
@@ -66,17 +66,17 @@ def test_it_is_expected_of_another_motion_as_far_as_it_says(seed: int) -> None:
 def test_its_covariance_says_how_far_it_is_off() -> None:
     """Where nothing lacks, coefficients are a few of their standard deviations from none."""
     records = Records.make([planted.recording(planted.rigid(TRUE), 4, 30.0)], planted.CUTOFF)
-    found = standing_remainder(MODEL, records, planted.prior(LINKS))
+    found = known_remainder(MODEL, records, planted.prior(LINKS))
     for mean, triangle in zip(found.means, found.triangles, strict=True):
         assert np.all(np.abs(mean) < 4.0 * np.linalg.norm(triangle, axis=0))
 
 
-def with_a_share(share: float) -> StandingRemainder:
+def with_a_share(share: float) -> KnownRemainder:
     """What is known from a recording of which the joint has a share of the efforts."""
     own = recorded(1)
     few = own.effort.copy()
     few[round(share * len(own)) :, JOINT] = np.nan
-    return standing_remainder(MODEL, Records.make([replace(own, effort=few)], planted.CUTOFF), planted.prior(LINKS))
+    return known_remainder(MODEL, Records.make([replace(own, effort=few)], planted.CUTOFF), planted.prior(LINKS))
 
 
 def test_fewer_rows_than_features_tell_less_and_as_much_as_they_say() -> None:
@@ -98,8 +98,8 @@ def test_of_channels_without_rows_nothing_is_known() -> None:
         assert len(mean) == len(triangle) == (0 if channel == JOINT else len(known.means[channel]))
 
 
-def named(known: StandingRemainder | None, recording: Sequence[Samples]) -> dict[tuple[str, str], float]:
-    found = find_gap(MODEL, recording, (), nominal=LINKS.ravel(), standing=known)
+def named(known: KnownRemainder | None, recording: Sequence[Samples]) -> dict[tuple[str, str], float]:
+    found = find_gap(MODEL, recording, (), nominal=LINKS.ravel(), known_remainder=known)
     return {(finding.effect, finding.joint): finding.loss for finding in found.findings}
 
 
@@ -110,7 +110,7 @@ def test_it_is_no_change() -> None:
 @pytest.mark.parametrize("seed", [5, 8, 9])
 def test_it_leaves_nothing_unexplained(seed: int) -> None:
     """Though it is many times the noise."""
-    found = find_gap(MODEL, [recorded(seed)], (), nominal=LINKS.ravel(), standing=standing())
+    found = find_gap(MODEL, [recorded(seed)], (), nominal=LINKS.ravel(), known_remainder=standing())
     assert found.verdict == "no gap"
     assert found.moving[JOINT] > 10.0
 
@@ -120,7 +120,7 @@ def test_a_change_beside_it_that_has_no_name_is_left_where_it_is() -> None:
     samples = recorded(6)
     effort = samples.effort.copy()
     effort[:, -1] += 0.5 * COGGING * np.sin(9.0 * samples.position[:, -1])
-    found = find_gap(MODEL, [replace(samples, effort=effort)], (), nominal=LINKS.ravel(), standing=standing())
+    found = find_gap(MODEL, [replace(samples, effort=effort)], (), nominal=LINKS.ravel(), known_remainder=standing())
     assert found.verdict == "incomplete"
     assert [(left.joint, left.depends_on) for left in found.unexplained] == [(MODEL.robot.joint_names[-1], "position")]
 
@@ -156,7 +156,7 @@ def test_of_a_channel_that_told_nothing_nothing_is_known() -> None:
     silent = recorded(1)
     effort = silent.effort.copy()
     effort[:, JOINT] = np.nan
-    found = lacking(MODEL, [replace(silent, effort=effort)], planted.CUTOFF, LINKS.ravel(), ())
+    found = remainder_of_model(MODEL, [replace(silent, effort=effort)], planted.CUTOFF, LINKS.ravel(), ())
     assert found is not None
     problem = LinearisedProblem(
         MODEL,
@@ -173,7 +173,7 @@ def test_a_joint_that_stands_still_makes_no_feature_large() -> None:
     still = {name: getattr(samples, name).copy() for name in ("position", "velocity", "acceleration")}
     for value, own in zip((0.3, 1e-14, 1e-13), still.values(), strict=True):
         own[:, JOINT] = value * (1.0 if value > 0.1 else np.random.default_rng(1).standard_normal(len(own)))
-    found = lacking(MODEL, [replace(samples, **still)], planted.CUTOFF, LINKS.ravel(), ())
+    found = remainder_of_model(MODEL, [replace(samples, **still)], planted.CUTOFF, LINKS.ravel(), ())
     assert found is not None
     assert max(np.max(own) for own in found.basis.scales) <= LARGEST_SCALE
     assert all(np.all(np.abs(own) < 1e6) for own in (*found.means, *found.triangles))
@@ -189,4 +189,4 @@ def test_a_basis_of_other_features_is_refused() -> None:
 
 def test_of_a_recording_that_is_too_short_nothing_is_known() -> None:
     short = recorded(1).select(slice(50))
-    assert lacking(MODEL, [replace(short)], planted.CUTOFF, LINKS.ravel(), ()) is None
+    assert remainder_of_model(MODEL, [replace(short)], planted.CUTOFF, LINKS.ravel(), ()) is None

@@ -36,11 +36,11 @@ def test_noise_by_which_hardly_an_instant_counts_is_not_told() -> None:
     before = problem(2, 2.0)
     left = FLOOR * [0.9, 0.9, 0.0]
     assert np.count_nonzero(before.with_floor(left).valid[:, 2]) < FEWEST_ROWS < np.count_nonzero(before.valid[:, 2])
-    floor, told = before.told_floor(left)
+    floor, told = before.identifiable_floor(left)
     np.testing.assert_array_equal(told, [True, True, False])
     np.testing.assert_array_equal(floor, np.where(told, left, before.floor))
     for other in (before, before.with_floor(np.full(3, np.inf))):
-        floor, told = other.told_floor(0.9 * FLOOR)
+        floor, told = other.identifiable_floor(0.9 * FLOOR)
         np.testing.assert_array_equal(floor, 0.9 * FLOOR)
         assert np.all(told)
 

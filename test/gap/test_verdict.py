@@ -14,7 +14,7 @@ from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement.held_out import located, share, strongest
 from geomid_ros.gap.judgement.sentences import sentence, settled_by
 from geomid_ros.gap.judgement.written import _with_sentence
-from geomid_ros.gap.result import Finding, GapResult, Located
+from geomid_ros.gap.result import Finding, GapResult, ResidualDependence
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Quantity
@@ -186,8 +186,8 @@ def test_and_nothing_is_named_for_it(drifting: GapResult) -> None:
 
 
 def test_what_depends_on_nothing_is_not_said_to_depend_on_the_first_in_line() -> None:
-    assert strongest(Located("wrench/fx", 0.0, 0.0, 0.0, 0.0, 0.0)) == "unknown"
-    assert strongest(Located("joint1", 0.1, 0.0, 0.3, 0.2, 0.0)) == "load"
+    assert strongest(ResidualDependence("wrench/fx", 0.0, 0.0, 0.0, 0.0, 0.0)) == "unknown"
+    assert strongest(ResidualDependence("joint1", 0.1, 0.0, 0.3, 0.2, 0.0)) == "load"
 
 
 SEED, JOINT = 20, 1

@@ -21,7 +21,7 @@ from geomid_ros.inference.prior import GAIN, OtherRecordings
 from geomid_ros.model.effects.friction import LoadFriction, StribeckFriction, ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.gap_words import in_short
+from geomid_ros.report.gap_words import summary
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -138,7 +138,7 @@ def test_a_payload_weighs_what_it_weighs_beside_inertias_that_were_identified_to
     """Their errors are large, but not where the motion tells: to know both makes the payload's mass sharp."""
     before, loaded = identified(52, 53), recordings(planted.rigid(carrying(planted.true_inertias(52, 0.2))), 52)
     found = [
-        find_gap(planted.model(), *loaded, nominal=before.parameters, known=known).findings[0].parameters["mass"]
+        find_gap(planted.model(), *loaded, nominal=before.parameters, previous=known).findings[0].parameters["mass"]
         for known in (said(before), None)
     ]
     assert abs(found[0].value - PAYLOAD) < 3.0 * found[0].std
@@ -151,7 +151,7 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
     """The second link turns about its own origin and a vertical axis: nothing lifts its mass."""
     inertias, centre = planted.true_inertias(51, 0.2), np.array([0.02, 0.0, 0.1])
     before, loaded = identified(51, 53), recordings(planted.rigid(with_body(inertias, 1, centre)), 52)
-    result = find_gap(planted.model(), *loaded, nominal=before.parameters, known=said(before))
+    result = find_gap(planted.model(), *loaded, nominal=before.parameters, previous=said(before))
     (change,) = result.links
     assert not result.findings
     assert (change.link, change.confidence) == (planted.model().body_names[1], "confident")
@@ -162,7 +162,7 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
         assert moment.std < 0.15 * true
     assert change.moment["m y"].std > 3.0 * change.moment["m x"].std, "it lies along the axis"
     assert "first moment m x by 0.01" in change.sentence
-    assert any("m x by 0.01" in sentence for sentence in in_short(result))
+    assert any("m x by 0.01" in sentence for sentence in summary(result))
 
 
 @pytest.mark.parametrize("link", [1, 2])
@@ -179,7 +179,7 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, monkeypatch: 
         return analysed[-1]
 
     def found() -> GapResult:
-        return find_gap(planted.model(), *robot, nominal=before.parameters, known=said(before))
+        return find_gap(planted.model(), *robot, nominal=before.parameters, previous=said(before))
 
     monkeypatch.setattr(workflow, "analyse", analyse)
     result = found()
@@ -236,14 +236,14 @@ def test_a_gain_of_all_joints_is_no_payload() -> None:
     assert set(gains) == set(JOINTS)
     assert all(abs(gain.value - 1.12) < 4.0 * gain.std for gain in gains.values())
     assert not [f for f in result.findings if f.effect == "payload"]
-    assert any("efforts of all joints 1.1" in sentence for sentence in in_short(result))
+    assert any("efforts of all joints 1.1" in sentence for sentence in summary(result))
 
 
 def test_a_payload_that_is_gone_is_no_other_effect() -> None:
     """What the recordings with it said of the links contradicts those without: then it is worth little, and is not
     imitated by wrong sensors."""
     before, without = identified(54, 54, body=True), recordings(planted.rigid(planted.true_inertias(54, 0.2)), 554)
-    result = find_gap(planted.model(), *without, nominal=before.parameters, known=said(before))
+    result = find_gap(planted.model(), *without, nominal=before.parameters, previous=said(before))
     assert not [finding for finding in result.findings if finding.confidence == "confident"]
     assert np.max(result.gap.inertias_only) < 1.3
 

@@ -11,7 +11,7 @@ import pytest
 
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import result as result_module
-from geomid_ros.gap.candidates import NamesFit
+from geomid_ros.gap.candidates import EffectsFit
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement import written as written_module
 from geomid_ros.gap.result import GapResult, LinkChange
@@ -70,7 +70,7 @@ def test_what_no_finding_says_is_as_it_was_given(beside_model: GapResult) -> Non
 
 
 def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsure(_: Design, fit: NamesFit) -> NamesFit:
+    def unsure(_: Design, fit: EffectsFit) -> EffectsFit:
         return replace(fit, packed=Packed.of(1e-6 * fit.information))
 
     monkeypatch.setattr(written_module, "scattered", unsure)

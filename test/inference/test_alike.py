@@ -50,7 +50,13 @@ def prior_of(alike: bool) -> Prior:
     model, none = quadruped(), np.zeros(0)
     parts = alike_parts(model.robot, model.identified) if alike else ()
     return Prior(
-        inertias=model.nominal_inertias, spread=0.2, terms=(), values=none, spreads=none, certainty=20.0, alike=parts
+        inertias=model.nominal_inertias,
+        prior_std=0.2,
+        terms=(),
+        values=none,
+        prior_stds=none,
+        certainty=20.0,
+        alike=parts,
     )
 
 
@@ -76,7 +82,7 @@ def test_a_leg_that_was_repaired_is_let_go() -> None:
     """Its own spread grows, those of the others stay; what is written is what it is."""
     found, masses = fitted(THIGHS[1:2], ("FL", "FR", "RL", "RR"), True)
     names = [name for group in alike_parts(quadruped().robot, quadruped().identified) for name in group.names]
-    spreads = dict(zip(names, found.own_spreads.tolist(), strict=True))
+    spreads = dict(zip(names, found.separate_prior_stds.tolist(), strict=True))
     let_go = spreads.pop("FR_thigh")
     assert let_go > 1.5 * max(spreads.values())
     _, free = fitted(THIGHS[1:2], ("FL", "FR", "RL", "RR"), False)
@@ -91,8 +97,8 @@ def test_own_spreads_are_those_of_the_best_score() -> None:
     links = quadruped().nominal_inertias.reshape(-1, 10).copy()
     links[quadruped().body_names.index(THIGHS[1])] *= HEAVIER
     for factor in (0.7, 1.4):
-        other = replace(found, own_spreads=factor * found.own_spreads)
-        assert fit(design(links, legs), prior_of(True), [], other, found.spreads).score > found.score + 1.0
+        other = replace(found, separate_prior_stds=factor * found.separate_prior_stds)
+        assert fit(design(links, legs), prior_of(True), [], other, found.prior_stds).score > found.score + 1.0
 
 
 @pytest.mark.parametrize("heavy", [THIGHS, THIGHS[1:2]])

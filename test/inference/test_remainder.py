@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from geomid_ros.inference.design import ChannelRows, Design, Lack
-from geomid_ros.inference.remainder import USUAL, Remainder
+from geomid_ros.inference.design import ChannelRows, Design, RemainderFit
+from geomid_ros.inference.remainder import DEFAULT_VARIANCE, Remainder
 from geomid_ros.types import FloatArray
 
 ROWS, COLUMNS = 120, 3
@@ -38,7 +38,7 @@ def rows(
 
 def covariance(own: ChannelRows, variances: FloatArray) -> FloatArray:
     """Of the rows, in units of the noise's variance."""
-    known = 0.0 if own.before is None else own.features @ own.before @ own.features.T
+    known = 0.0 if own.prior_covariance is None else own.features @ own.prior_covariance @ own.features.T
     return np.eye(ROWS) + (own.features * variances[BLOCK]) @ own.features.T + known
 
 
@@ -55,7 +55,9 @@ either = pytest.mark.parametrize("before", [None, BEFORE], ids=["nothing known",
 def test_what_is_known_is_of_the_features_as_they_were_given() -> None:
     """Coefficients of the covariance BEFORE make of the given features what ``before`` makes of the scaled ones."""
     own, given = rows(1, before=BEFORE), rows(1).features / rows(1).scale
-    np.testing.assert_allclose(own.features @ own.before @ own.features.T, given @ BEFORE @ given.T, atol=1e-9)
+    np.testing.assert_allclose(
+        own.features @ own.prior_covariance @ own.features.T, given @ BEFORE @ given.T, atol=1e-9
+    )
 
 
 @either
@@ -80,9 +82,11 @@ def test_whitened_rows_have_these_products(before: FloatArray | None) -> None:
 def test_the_cost_is_the_volume_of_the_covariance_and_nothing_at_the_usual_size_but_that(
     before: FloatArray | None,
 ) -> None:
-    own, usual = rows(4, before=before), np.full(3, USUAL)
+    own, usual = rows(4, before=before), np.full(3, DEFAULT_VARIANCE)
     for variances in (VARIANCES, usual):
-        prior = np.sum(np.log(variances / USUAL) + USUAL / variances - 1.0) if before is None else 0.0
+        prior = (
+            np.sum(np.log(variances / DEFAULT_VARIANCE) + DEFAULT_VARIANCE / variances - 1.0) if before is None else 0.0
+        )
         volume = np.linalg.slogdet(covariance(own, variances))[1]
         assert own.remainder.marginalised(own.products, variances).cost == pytest.approx(volume + prior)
     assert own.remainder.usual.tolist() == usual.tolist()
@@ -95,13 +99,13 @@ def score(remainder: Remainder, vector: FloatArray, square: float, variances: Fl
     return remainder.count * float(np.log(left)) + marginal.cost
 
 
-@pytest.mark.parametrize("near", [None, VARIANCES, np.full(3, 1e3 * USUAL)], ids=["alone", "near", "far"])
+@pytest.mark.parametrize("near", [None, VARIANCES, np.full(3, 1e3 * DEFAULT_VARIANCE)], ids=["alone", "near", "far"])
 def test_the_variances_that_are_settled_on_are_near_the_most_likely(near: FloatArray | None) -> None:
     """MacKay's fixed point leaves no more than a unit to be gained."""
     own = rows(10 + 1)
     vector = np.append([1.0, 2.0, 3.0, -1.0], 0.0)
     square = float(vector @ own.products @ vector)
-    found = own.remainder.settled(vector, square, 0.0, near)
+    found = own.remainder.fitted_variances(vector, square, 0.0, near)
     best = minimize(
         lambda logs: score(own.remainder, vector, square, np.exp(logs)), np.log(found), method="Nelder-Mead"
     )
@@ -114,18 +118,18 @@ def test_what_is_lacking_is_found_and_counts_as_parameters() -> None:
     found = []
     for seed in range(30):
         own = rows(100 + seed)
-        found.append(own.remainder.settled(vector, float(vector @ own.products @ vector), 0.0))
+        found.append(own.remainder.fitted_variances(vector, float(vector @ own.products @ vector), 0.0))
     medians = np.median(found, axis=0)
     assert medians[1] == pytest.approx(VARIANCES[1], rel=0.5)
-    assert medians[2] < 1.5 * USUAL
+    assert medians[2] < 1.5 * DEFAULT_VARIANCE
 
 
 def test_beside_other_recordings_it_changes_as_much_as_usual_and_by_a_share_of_what_is_named() -> None:
     """However much is left: what stands there is a change that has no name yet."""
     remainder, vector = rows(6, before=BEFORE).remainder, np.append([1.0, 2.0, 3.0, -1.0], 0.0)
     for square in (0.1, 1e6):
-        np.testing.assert_array_equal(remainder.settled(vector, square, 0.0), remainder.usual)
-    larger = [remainder.settled(vector, 1.0, named) - USUAL for named in (100.0, 400.0)]
+        np.testing.assert_array_equal(remainder.fitted_variances(vector, square, 0.0), remainder.usual)
+    larger = [remainder.fitted_variances(vector, 1.0, named) - DEFAULT_VARIANCE for named in (100.0, 400.0)]
     np.testing.assert_allclose(larger[1], 4.0 * larger[0])
     assert 0.0 < larger[0][0] < 100.0
 
@@ -140,7 +144,7 @@ def test_of_what_hardly_occurs_features_are_not_made_large() -> None:
 def test_beside_other_recordings_a_model_lacks_what_is_new_but_no_more_than_all() -> None:
     own, parameters = rows(6, before=BEFORE), np.array([1.0, 2.0, 3.0])
 
-    def lack(expected: FloatArray | None) -> Lack:
+    def lack(expected: FloatArray | None) -> RemainderFit:
         again = ChannelRows.of(own.columns, own.features / own.scale, BLOCK, {}, own.links, BEFORE, expected)
         return Design.of([again], COLUMNS).remainders((), (), parameters)[0]
 

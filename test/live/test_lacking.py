@@ -12,7 +12,7 @@ from estimation.arms import efforts, motion, shipped, truth
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder
-from geomid_ros.gap.evidence.features import StandingRemainder
+from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.live import saving as module
 from geomid_ros.live.saving import Saving
 from geomid_ros.live.searches import look_for_gap
@@ -83,9 +83,9 @@ def test_a_search_is_told_what_the_estimate_lacked(
     arm: Rippling, monkeypatch: pytest.MonkeyPatch, remembered: bool
 ) -> None:
     """The second gear ripples, the others do not."""
-    told: list[StandingRemainder | None] = []
+    told: list[KnownRemainder | None] = []
 
-    def search(*_: object, standing: StandingRemainder | None, **__: object) -> None:
+    def search(*_: object, standing: KnownRemainder | None, **__: object) -> None:
         told.append(standing)
         raise InputError("not searched")
 

@@ -15,7 +15,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.stream import Stream
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.model.samples import samples_of
-from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -114,7 +114,7 @@ def test_what_is_carried_is_predicted_until_it_is_put_down(identification: Ident
     body = pseudo_inertia.parameters_of(np.array([1.5, 0.0, 0.0, 0.1, 1e-2, 0.0, 1e-2, 0.0, 0.0, 1e-2]))
     heavier = estimate.parameters.copy()
     heavier[columns] += body
-    carried = Carried("tool", columns, body, np.eye(10), 0, 0)
+    carried = CarriedPayload("tool", columns, body, np.eye(10), 0, 0)
     stream.carry(carried)
     stream.use(session, estimate)
     for parameters in (heavier, estimate.parameters):

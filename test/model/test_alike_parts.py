@@ -7,7 +7,7 @@ import pytest
 
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.alike_parts import AlikeParts, alike_parts, said_alike
+from geomid_ros.model.alike_parts import AlikeParts, alike_parts, alike_sentences
 from geomid_ros.model.robot import Robot
 
 from .robots import urdf
@@ -36,7 +36,7 @@ def test_the_legs_of_a_quadruped_are_alike() -> None:
     assert [group.names for group in found] == [
         tuple(f"{leg}_{part}" for leg in LEGS) for part in ("hip", "thigh", "calf")
     ]
-    (sentence,) = said_alike(found)
+    (sentence,) = alike_sentences(found)
     assert "FL_hip, FR_hip, RL_hip, RR_hip (motors of one type); FL_thigh" in sentence
 
 
@@ -86,4 +86,4 @@ def test_only_links_that_are_identified_count() -> None:
     assert only.names == ("RR_calf", "FR_calf")
     assert only.members == (1, 2)
     assert groups(urdf("go2.urdf"), ["FL_hip", "FL_calf", "FR_thigh"]) == ()
-    assert list(said_alike(())) == []
+    assert list(alike_sentences(())) == []

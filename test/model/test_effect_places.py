@@ -198,5 +198,5 @@ def test_the_scanned_constant_is_as_sure_as_its_logarithm() -> None:
 def test_sizes_that_no_robot_has_are_absurd(effect: Effect, possible: list[float], absurd: list[float]) -> None:
     """A gear that gives a radian per N m, play of 0.2 rad, friction that lets no effort through, a third or thrice
     the effort, an excess of four times the level, a spring that rests two turns away."""
-    assert not effect.is_absurd(np.array(possible))
-    assert effect.is_absurd(np.array(absurd))
+    assert not effect.is_out_of_range(np.array(possible))
+    assert effect.is_out_of_range(np.array(absurd))

@@ -87,7 +87,7 @@ def test_what_can_be_identified_is_linear_in_coefficients_of_its_own() -> None:
 @pytest.mark.parametrize("effect", identifiable().values(), ids=identifiable())
 def test_what_was_identified_is_known_again(effect: IdentifiedEffect) -> None:
     """By its own coefficient and constants alone, whatever else belongs to the effect."""
-    for trial in type(effect).trials():
+    for trial in type(effect).coarse_grid():
         for index, form in enumerate(trial.own):
             found = Coefficient(
                 effect=trial, place=AtJoint(0), index=index, place_name="j", parameter=form.name, unit=form.units[0]
@@ -113,7 +113,9 @@ def test_a_column_is_of_each_instant_by_itself(effect: type[JointEffect]) -> Non
 
 @pytest.mark.parametrize(
     "effect",
-    dict.fromkeys(e for cls in OF_JOINTS.values() for e in (*cls.variants(), *cls.trials()) if not e.absorbed),
+    dict.fromkeys(
+        e for cls in OF_JOINTS.values() for e in (*cls.grid(), *cls.coarse_grid()) if not e.compensated_in_samples
+    ),
     ids=lambda effect: f"{effect.name} {[*vars(effect).values()]}",
 )
 def test_what_was_chosen_is_known_again_with_its_constants(effect: JointEffect) -> None:

@@ -94,8 +94,8 @@ def test_other_gravity_and_a_carried_body_come_in_any_order() -> None:
     robot, gravity = Robot(urdf("ur5_robot.urdf")), np.array([3.0, -2.0, -9.0])
     model = MeasurementModel(robot, [identified_effect(name) for name in ("viscous_friction", "load_friction")])
     samples = random_samples(robot, seed=7)
-    before = model.with_coefficients(range(8)).with_carried("wrist_3_link").with_gravity(gravity)
-    after = model.with_gravity(gravity).with_carried("wrist_3_link").with_coefficients(range(8))
+    before = model.with_coefficients(range(8)).with_payload("wrist_3_link").with_gravity(gravity)
+    after = model.with_gravity(gravity).with_payload("wrist_3_link").with_coefficients(range(8))
     assert before.body_names == after.body_names == (*robot.body_names, "payload of wrist_3_link")
     assert before.dimension == after.dimension == 10 * len(before.body_names) + 8
     assert_equal(before.rows(samples).coefficients, after.rows(samples).coefficients)

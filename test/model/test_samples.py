@@ -38,7 +38,7 @@ def samples(stamps: list[int]) -> Samples:
 )
 def test_stretches_are_the_parts_between_pauses(stamps: list[int], lengths: list[int]) -> None:
     whole = samples(stamps)
-    parts = whole.stretches()
+    parts = whole.segments()
     assert [len(part) for part in parts] == lengths
     np.testing.assert_array_equal(np.concatenate([part.stamps for part in parts]), whole.stamps)
     np.testing.assert_array_equal(np.concatenate([part.effort for part in parts]), whole.effort)

@@ -58,8 +58,8 @@ class Robot:
             rows = slice(begin, begin + BLOCK)
             stamps = PERIOD * np.arange(begin + 1, begin + BLOCK + 1)
             detector.add(begin, stamps, Rows(self.coefficients[rows, None], self.targets[rows, None]))
-            assert detector.judge()
-            assert not detector.judge()
+            assert detector.test()
+            assert not detector.test()
             yield detector.gaps
 
 
@@ -106,7 +106,7 @@ def test_the_gap_says_how_wide_it_is_and_since_when() -> None:
         detector = new_detector()
         *_, (gap,) = robot.judged(detector)
         assert gap.since is not None
-        assert detector.changes == [(gap.since, gap.first)]
+        assert detector.changes == [(gap.since, gap.first_sample)]
         begins.append(gap.since / PERIOD)
         widths.append(gap.times_floor)
     assert abs(np.median(begins) - HALF) <= BLOCK
@@ -178,7 +178,7 @@ def test_channels_are_judged_by_themselves() -> None:
         targets = np.column_stack([np.full(count, np.nan), np.zeros(count), robot.targets[rows]])
         coefficients = np.repeat(robot.coefficients[rows, None], 3, axis=1)
         detector.add(begin, PERIOD * np.arange(begin + 1, begin + count + 1), Rows(coefficients, targets))
-        detector.judge()
+        detector.test()
     gaps = {gap.channel: gap for gap in detector.gaps}
     assert gaps.keys() == {"zero", "joint"}
     assert gaps["zero"].since is None
@@ -197,7 +197,7 @@ class TestNormal:
         detector = new_detector()
         for gaps in robot.judged(detector):
             opened = [gap for gap in gaps if gap.since is not None]
-            yield detector.judged, detector.normal([0]), opened[0] if opened else None
+            yield detector.judged, detector.unchanged_before([0]), opened[0] if opened else None
 
     @pytest.mark.parametrize("kind", ["coloured", "uneven"])
     def test_nothing_of_a_gap_is_kept_before_it_opens(self, kind: str) -> None:
@@ -208,13 +208,13 @@ class TestNormal:
             kept = 0
             for judged, normal, gap in self.followed(robot):
                 if gap is not None:
-                    assert kept <= max(gap.first - LATE, judged - LONGEST * BLOCK)
+                    assert kept <= max(gap.first_sample - LATE, judged - LONGEST * BLOCK)
                     break
                 kept = normal
             else:
                 pytest.fail("no gap")
             if kind != "uneven":  # where the first of what is bad may be taken for rough
-                assert kept <= gap.first - LATE <= HALF - 10, seed
+                assert kept <= gap.first_sample - LATE <= HALF - 10, seed
 
     def test_what_is_as_it_was_is_kept_soon(self) -> None:
         """All but one or two blocks, mostly."""
@@ -233,7 +233,7 @@ class TestNormal:
         robot, detector = Robot(2), new_detector()
         robot.change()
         for _ in robot.judged(detector):
-            assert detector.normal([]) == detector.judged - LATE
+            assert detector.unchanged_before([]) == detector.judged - LATE
 
 
 class Imperfect(Robot):

@@ -88,7 +88,7 @@ def test_three_bad_blocks_are_a_gap_since_the_first() -> None:
         source.block(own, 10.0)
         opened.append(own.gap.since is not None)
     assert opened == [False, False, True, True, True]
-    assert own.gap.first == first
+    assert own.gap.first_sample == first
     assert own.gap.since == SECOND + 20_000_000 * first
     closed = []
     for _ in range(6):

@@ -10,13 +10,13 @@ from estimation.arms import Truth, efforts, motion, samples, shipped, truth
 
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
+from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import ALARM, ChangeDetector, ChannelGap
-from geomid_ros.monitoring.payload_watch import Carried, Noise, PayloadWatch
+from geomid_ros.monitoring.payload_watch import CarriedPayload, Noise, PayloadWatch
 
 RATE = 50.0  # [Hz]
 BEFORE, AFTER, END = 50.0, 65.0, 80.0  # [s]
@@ -31,7 +31,7 @@ class State:
     """What the watch says at a ``time`` [s]."""
 
     time: float
-    carried: Carried | None
+    carried: CarriedPayload | None
     gaps: tuple[ChannelGap, ...]
 
     @property
@@ -75,17 +75,17 @@ class Arm:
             "tool",
             columns,
             links.size,
-            usual=usual_payload(links, last),
+            prior_mean=default_payload(links, last),
             gain=0.0,
-            spread=SPREAD_OF_PAYLOADS,
-            surprise=ALARM,
+            prior_std=PAYLOAD_PRIOR_STD,
+            threshold=ALARM,
         )
         detector = ChangeDetector(self.model.channels, payload=watch)
         states = []
         for begin in range(0, len(measured), step):
             part = slice(begin, begin + step)
             detector.add(begin, measured.stamps[part], replace(rows, **{k: v[part] for k, v in vars(rows).items()}))
-            while detector.judge():
+            while detector.test():
                 pass
             states.append(State(1e-9 * float(measured.stamps[part][-1]), watch.carried, detector.gaps))
         return states
@@ -149,15 +149,15 @@ def test_what_was_learned_of_the_robot_is_forgotten_as_time_goes_by() -> None:
         "tool",
         slice(10 * last, 10 * last + 10),
         10 * last + 10,
-        usual=usual_payload(arm.model.nominal_inertias.reshape(-1, 10), last),
+        prior_mean=default_payload(arm.model.nominal_inertias.reshape(-1, 10), last),
         gain=0.0,
-        spread=SPREAD_OF_PAYLOADS,
-        surprise=ALARM,
+        prior_std=PAYLOAD_PRIOR_STD,
+        threshold=ALARM,
     )
     same = replace(rows, **{name: values[:10] for name, values in vars(rows).items()})
     learned = []
     for block in range(60):
-        watch.judge(10 * block, measured.stamps[:10], same, [Noise()] * 3, share)
+        watch.update(10 * block, measured.stamps[:10], same, [Noise()] * 3, share)
         learned.append(watch._baselines[0].information.copy())
     np.testing.assert_allclose(learned[59], (1.0 + share**20) * learned[39], rtol=1e-9)
 

@@ -28,7 +28,7 @@ class ShearThinning(JointEffect):
     adds_up = False
 
     @classmethod
-    def variants(cls) -> tuple[Effect, ...]:
+    def grid(cls) -> tuple[Effect, ...]:
         return tuple(cls(float(speed)) for speed in np.geomspace(0.1, 1.6, 13))
 
     def column(self, motion: JointMotion) -> FloatArray:

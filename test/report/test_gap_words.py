@@ -12,11 +12,11 @@ from files.gaps import gap_result
 from geomid_ros.gap.result import LinkChange
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_words import (
-    in_short,
     interval,
     measured,
+    next_recordings,
     ratio,
-    to_record,
+    summary,
     verdict_sentence,
 )
 
@@ -65,7 +65,7 @@ def test_links_that_changed_are_named() -> None:
     )
     both = replace(result, links=(change,))
     assert "knee and a change of link 'thigh'. With them, " in verdict_sentence(both)
-    first, *_ = in_short(both)
+    first, *_ = summary(both)
     assert first.startswith("Sure: link 'thigh' weighs 0.5 ± 0.01 kg more"), "its loss is the larger one"
 
 
@@ -73,7 +73,7 @@ def test_of_several_sizes_of_one_kind_the_one_that_is_told_is_said() -> None:
     result = gap_result("named", JOINTS)
     sizes = {"tilt_x": Quantity(-0.05, 0.04, "rad"), "tilt_y": Quantity(0.0339, 0.0011, "rad")}
     tilt = replace(result.findings[0], effect="gravity_tilt", joint="", link="", parameters=sizes)
-    assert "tilt y 0.0339 ± 0.0011 rad" in in_short(replace(result, findings=(tilt,)))[0]
+    assert "tilt y 0.0339 ± 0.0011 rad" in summary(replace(result, findings=(tilt,)))[0]
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_a_gain_of_all_joints_is_said_once(gains: tuple[float, ...], alike: bool
         replace(finding, effect="effort_gain", joint=joint, parameters={"gain": Quantity(gain, 0.01, "-")})
         for joint, gain in zip(JOINTS, gains, strict=False)
     ]
-    said = " ".join(in_short(replace(named, findings=tuple(found))))
+    said = " ".join(summary(replace(named, findings=tuple(found))))
     assert ("Sure: efforts of all joints 1.1 to 1.12 times as large" in said) is alike
     assert ("Effort gain at hip" in said) is not alike
 
@@ -130,13 +130,13 @@ def test_what_is_left_is_part_of_the_verdict() -> None:
 
 
 def test_what_to_record_next() -> None:
-    assert to_record(gap_result("named", JOINTS)) == []
-    assert to_record(gap_result("ambiguous", JOINTS)) == [
+    assert next_recordings(gap_result("named", JOINTS)) == []
+    assert next_recordings(gap_result("ambiguous", JOINTS)) == [
         "move knee at three constant speeds (for Coulomb friction at knee)"
     ]
-    (slow,) = to_record(gap_result("incomplete", JOINTS))
+    (slow,) = next_recordings(gap_result("incomplete", JOINTS))
     assert slow.startswith("a slow motion of the joint at one constant speed, ")
     assert slow.endswith("(for the residual at knee)")
-    assert to_record(gap_result("unexplained", JOINTS)) == [
+    assert next_recordings(gap_result("unexplained", JOINTS)) == [
         "the joint alone, then hip alone, then both (for the residual at knee)"
     ]

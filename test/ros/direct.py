@@ -37,7 +37,7 @@ class Direct(Rig):
     def send(self, items: Iterable[Recorded], _: float = 0.0) -> None:
         """Let messages be taken."""
         for item in items:
-            self.worker.take([Received(*item.raw, time.perf_counter())])
+            self.worker.enqueue([Received(*item.raw, time.perf_counter())])
             self.sent[item.topic] += 1
 
     def trigger(self, service: str) -> tuple[bool, str]:

@@ -61,7 +61,7 @@ class Watch:
     long on a busy machine."""
 
     def __init__(self) -> None:
-        self._look = supervisor.Supervisor.restart_what_hangs
+        self._look = supervisor.Supervisor.restart_hung_threads
         self._patience = supervisor.HANGING
 
     def __call__(self, of: supervisor.Supervisor) -> None:
@@ -175,7 +175,7 @@ def run() -> None:
     plant(saving, "save", {"saving fails": fail})
     inbox.MOST_AT_ONCE = AT_ONCE
     watch = Watch()
-    supervisor.Supervisor.restart_what_hangs = lambda self: watch(self)  # noqa: PLW0108 an object is no method
+    supervisor.Supervisor.restart_hung_threads = lambda self: watch(self)  # noqa: PLW0108 an object is no method
     main.main()
 
 

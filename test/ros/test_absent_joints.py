@@ -16,7 +16,7 @@ from geomid_ros.live import supervisor as module
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Listener
 from geomid_ros.live.supervisor import Supervisor
-from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 
@@ -49,7 +49,7 @@ class Carrying(Listener):
     def __init__(self, said: list[str]) -> None:
         self._said = said
 
-    def carried(self, carried: Carried | None) -> None:
+    def carried(self, carried: CarriedPayload | None) -> None:
         self._said.append(f"carries {carried}")
 
 
@@ -79,9 +79,9 @@ def feed(supervisor: Supervisor, finger: bool = False) -> int:
         message = item.message
         fields = {key: np.append(getattr(message, key), 0.01) for key in ("position", "velocity", "effort")}
         taken = item.changed(name=[*message.name, FINGER], **fields) if finger else item
-        worker.take([Received(*taken.raw, time.perf_counter())])
+        worker.enqueue([Received(*taken.raw, time.perf_counter())])
     all_taken = Event()
-    worker.final_estimate(lambda _: all_taken.set())
+    worker.request_estimate(lambda _: all_taken.set())
     assert all_taken.wait(PATIENCE)
     return worker.session.identifier.counts.taken
 

@@ -64,7 +64,7 @@ class TestConsole:
         log = Lines()
         console = Console(log)
         for second in range(301):
-            console.tell([Complaint(f"joint_states rejected: {second} messages", False)])
+            console.log_complaints([Complaint(f"joint_states rejected: {second} messages", False)])
             clock[0] += 1.0
         assert [line for line, _ in log.lines] == ["warning"] * (300 // int(AGAIN))
 
@@ -72,7 +72,7 @@ class TestConsole:
         log = Lines()
         console = Console(log)
         for second in range(20):
-            console.tell([Complaint("a late message", False)] if second % 3 == 0 else [])
+            console.log_complaints([Complaint("a late message", False)] if second % 3 == 0 else [])
             clock[0] += 1.0
         assert log.lines == []
 
@@ -80,7 +80,7 @@ class TestConsole:
         log = Lines()
         console = Console(log)
         for _ in range(2):
-            console.tell([Complaint("a", True), Complaint("b", False), Complaint("c", True)])
+            console.log_complaints([Complaint("a", True), Complaint("b", False), Complaint("c", True)])
             clock[0] += 1.0
         assert log.lines == [("error", "a; c"), ("warning", "b")]
 
@@ -89,7 +89,7 @@ class TestConsole:
         for number in range(1000):
             name = "".join(chr(97 + int(digit)) for digit in str(number))
             for _ in range(2):
-                console.tell([Complaint(f"joint '{name}' is missing", False)])
+                console.log_complaints([Complaint(f"joint '{name}' is missing", False)])
             clock[0] += 1.0
         assert len(console._logged) <= 200
 
@@ -264,20 +264,20 @@ def test_92_what_hung_is_told_until_there_is_an_estimate(monkeypatch: pytest.Mon
     idle, solver = SimpleNamespace(current=("", 0.0)), SimpleNamespace(activity=Activity(), solves=7)
     watched = watching(solving, SimpleNamespace(activity=idle, solver=solver))
     for _ in range(20):
-        watched.restart_what_hangs()
+        watched.restart_hung_threads()
     assert solving.restarts == 20
     with monkeypatch.context() as well:
         well.setattr(Activity, "current", ("", 0.0))
-        watched.restart_what_hangs()
+        watched.restart_hung_threads()
         assert watched.problems[0] == "the solver hung and was restarted"
         solver.solves += 1
-        watched.restart_what_hangs()
+        watched.restart_hung_threads()
         assert watched.problems[0] == ""
     solving.solves = False  # it hangs in something else, which nobody can end
-    watched.restart_what_hangs()
+    watched.restart_hung_threads()
     assert watched.problems[0] == "the solver hangs, and not in a solve; restart the node"
     monkeypatch.setattr(Activity, "current", ("", 0.0))  # nor does it for ever
-    watched.restart_what_hangs()
+    watched.restart_hung_threads()
     assert not any(watched.problems)
 
 
@@ -289,7 +289,7 @@ def test_92_messages_that_nobody_processes_any_more_hide_no_solver_that_hangs(
     solving: Any = Hanging()
     solver = SimpleNamespace(activity=Activity(), solves=7)
     watched = watching(solving, SimpleNamespace(activity=Activity(), solver=solver))
-    watched.restart_what_hangs()
+    watched.restart_hung_threads()
     assert solving.restarts == 1
     again, hung, *_ = watched.problems
     assert again.startswith("message processing hangs again")
@@ -306,7 +306,7 @@ def test_92_a_hang_is_known_though_nothing_can_begin_anew(monkeypatch: pytest.Mo
     ended.activity = Activity()
     watched = watching(None, worker)
     with pytest.raises(InputError):
-        watched.restart_what_hangs()
+        watched.restart_hung_threads()
     assert watched.problems[0] == "message processing hung and was restarted, 1 of at most 3 times"
     watched.close()
     assert not any("hung" in problem for problem in watched.problems)
@@ -322,10 +322,10 @@ def test_92_what_goes_on_after_a_hang_has_its_own_time(monkeypatch: pytest.Monke
     watched = watching(solving, SimpleNamespace(activity=Activity(), solver=solver))
     with solver.activity.doing("solving"):
         for now[0] in (supervisor.HANGING + 1.0, supervisor.HANGING + 2.0, 2.0 * supervisor.HANGING):
-            watched.restart_what_hangs()
+            watched.restart_hung_threads()
         assert solving.restarts == 1
         now[0] = 3.0 * supervisor.HANGING
-        watched.restart_what_hangs()
+        watched.restart_hung_threads()
         assert solving.restarts == 2
 
 

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmarks.trajectory_controller import GONE, STRONG
-from geomid_ros.excitation.watch import Watch
+from geomid_ros.excitation.watch import MotionMonitor
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.ros.excite.run import Order, prepared_run
@@ -176,7 +176,7 @@ def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.Monk
     monkeypatch.setenv("ROS_DOMAIN_ID", str(stage.domain))
     before = signal.getsignal(signal.SIGINT)
     with prepared_run(order) as run:
-        monkeypatch.setattr(Watch, "look", fail)
+        monkeypatch.setattr(MotionMonitor, "look", fail)
         with pytest.raises(RuntimeError, match="a defect"):
             run.execute(stage.folder / "run1", lambda _: None)
     assert signal.getsignal(signal.SIGINT) is before

@@ -27,7 +27,7 @@ def test_the_executor_leaves_data_alone() -> None:
     with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
         begin = time.perf_counter()
         inputs = Inputs(observer.node, Ledger())
-        inputs.listen(JointState, TOPIC)
+        inputs.subscribe_data(JointState, TOPIC)
         heard = observer.collect(JointState, TOPIC)
         publisher = observer.node.create_publisher(JointState, TOPIC, plenty())
         observer.wait_for(lambda: publisher.get_subscription_count() == 2, "both subscriptions")
@@ -39,7 +39,7 @@ def test_the_executor_leaves_data_alone() -> None:
         time.sleep(0.2)
         asked = time.perf_counter()
         taken: list[Received] = []
-        observer.wait_for(lambda: taken.extend(inputs.waiting()) or len(taken) == COUNT, "what waits")
+        observer.wait_for(lambda: taken.extend(inputs.poll()) or len(taken) == COUNT, "what waits")
         assert [deserialize_message(message.data, JointState) for message in taken] == sent
         assert all(begin < message.time < asked - 0.1 for message in taken), "when they came, not when they were taken"
 
@@ -48,8 +48,8 @@ def test_data_of_several_topics_are_in_the_order_in_which_they_came() -> None:
     """A clock that is set back is then set back for all of them at once."""
     with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
         inputs = Inputs(observer.node, Ledger())
-        inputs.listen(JointState, TOPIC)
-        inputs.listen(WrenchStamped, "wrench")
+        inputs.subscribe_data(JointState, TOPIC)
+        inputs.subscribe_data(WrenchStamped, "wrench")
         states = observer.node.create_publisher(JointState, TOPIC, plenty())
         wrenches = observer.node.create_publisher(WrenchStamped, "wrench", plenty())
         publishers = [(states, JointState()), (wrenches, WrenchStamped())]
@@ -58,7 +58,7 @@ def test_data_of_several_topics_are_in_the_order_in_which_they_came() -> None:
             publisher.publish(message)
             time.sleep(0.02)
         taken: list[Received] = []
-        observer.wait_for(lambda: taken.extend(inputs.waiting()) or len(taken) == 2 * COUNT, "what waits")
+        observer.wait_for(lambda: taken.extend(inputs.poll()) or len(taken) == 2 * COUNT, "what waits")
         assert [message.topic for message in taken] == [TOPIC, "wrench"] * COUNT
 
 
@@ -66,8 +66,8 @@ def test_a_topic_keeps_its_order_though_the_wall_clock_is_set(monkeypatch: pytes
     """Where it is looked at alone; what came on others waits."""
     with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
         inputs, real = Inputs(observer.node, Ledger()), time.time
-        inputs.listen(JointState, TOPIC)
-        inputs.listen(WrenchStamped, "wrench")
+        inputs.subscribe_data(JointState, TOPIC)
+        inputs.subscribe_data(WrenchStamped, "wrench")
         states = observer.node.create_publisher(JointState, TOPIC, plenty())
         wrenches = observer.node.create_publisher(WrenchStamped, "wrench", plenty())
         observer.wait_for(lambda: all(p.get_subscription_count() == 1 for p in (states, wrenches)), "subscriptions")
@@ -75,7 +75,7 @@ def test_a_topic_keeps_its_order_though_the_wall_clock_is_set(monkeypatch: pytes
         taken: list[Received] = []
 
         def looked(topic: str | None, count: int) -> bool:
-            taken.extend(inputs.waiting(topic))
+            taken.extend(inputs.poll(topic))
             return len(taken) == count
 
         for count, set_by in enumerate((0.0, 1000.0, -1000.0), 1):
@@ -93,13 +93,13 @@ def test_every_message_is_taken_lost_or_dropped() -> None:
     with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
         ledger = Ledger()
         inputs = Inputs(observer.node, ledger)
-        inputs.listen(JointState, TOPIC)
+        inputs.subscribe_data(JointState, TOPIC)
         publisher = observer.node.create_publisher(JointState, TOPIC, plenty())
         observer.wait_for(lambda: publisher.get_subscription_count() == 1, "the subscription")
         taken: list[Received] = []
 
         def counted(sent: int) -> bool:
-            taken.extend(inputs.waiting())
+            taken.extend(inputs.poll())
             account = ledger.topics.get(TOPIC, Account())
             return len(taken) + account.lost + account.dropped.total() == sent
 

@@ -84,7 +84,7 @@ def test_the_same_news_are_said_once_a_minute(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
     console = Console(log)
     for second in range(301):
-        console.tell_news([f"joint_states: receiving {second} messages/s"])
+        console.log_events([f"joint_states: receiving {second} messages/s"])
         now[0] += 1.0
     assert [line for line, _ in log.lines] == ["info"] * (1 + 300 // int(AGAIN))
 

@@ -62,7 +62,7 @@ class Watched(Listener):
 
     def feed(self, begin: int = 0, end: int = len(JOINTS)) -> None:
         for message in JOINTS[begin:end]:
-            self.worker.take([Received(*message, time.perf_counter())])
+            self.worker.enqueue([Received(*message, time.perf_counter())])
 
     def final(self) -> Estimate | GeomidError:
         """The answer to a request for a final estimate."""
@@ -159,7 +159,7 @@ def solving(watched: Watched) -> Iterator[tuple[Answers, threading.Event]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(watched.session.identifier, "solve", slowly)
         watched.feed()
-        watched.worker.final_estimate(answers.put)
+        watched.worker.request_estimate(answers.put)
         assert begun.wait(PATIENCE)
         yield answers, may_end
 
@@ -233,7 +233,7 @@ def test_who_waits_when_it_closes_has_an_answer() -> None:
     watched.feed()
     answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
     for _ in range(3):
-        watched.worker.final_estimate(answers.put)
+        watched.worker.request_estimate(answers.put)
     watched.worker.close()
     assert [type(answers.get_nowait()) for _ in range(3)] == 3 * [Estimate]
     assert not watched.worker._intake.is_alive()
@@ -265,7 +265,7 @@ def test_a_recording_is_judged_before_it_is_solved(quiet: Watched, monkeypatch: 
     monkeypatch.setattr(quiet.session.identifier, "solve", solved)
     quiet.feed()
     answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
-    quiet.worker.final_estimate(answers.put)
+    quiet.worker.request_estimate(answers.put)
     assert isinstance(answers.get(timeout=PATIENCE), Estimate)
     assert done[: done.index("solved")].count("judged") > 0
 
@@ -300,7 +300,7 @@ def standing_still(watched: Watched) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(watched.worker.solver, "ask", stand_still)
-        watched.worker.final_estimate(lambda _: None)
+        watched.worker.request_estimate(lambda _: None)
         assert waiting.wait(PATIENCE)
     try:
         yield
@@ -391,7 +391,7 @@ def test_the_time_to_a_row_counts_from_the_message_that_completed_it(quiet: Watc
     assert samples is not None
     stamps = 1e-9 * (np.sort(np.concatenate([block.stamps for block in blocks])) - samples.stamps[0])
     now = time.perf_counter()
-    quiet.worker.take([Received(*raw, now + at - stamps[-1]) for raw, at in zip(JOINTS[:200], stamps, strict=True)])
+    quiet.worker.enqueue([Received(*raw, now + at - stamps[-1]) for raw, at in zip(JOINTS[:200], stamps, strict=True)])
     quiet.final()
     waited = quiet.worker.status(active=True).receipt_to_row
     apart = 1e-9 * np.diff(samples.stamps)

@@ -113,7 +113,7 @@ class Working:
         """Take messages. At any time, all rows are accounted for."""
         for begin in range(0, len(items), AT_ONCE):
             for item in items[begin : begin + AT_ONCE]:
-                self.worker.take([Received(*item.raw, time.perf_counter())])
+                self.worker.enqueue([Received(*item.raw, time.perf_counter())])
             self.status()
             while self.worker._inbox.unfinished:  # what has no room is dropped
                 time.sleep(2e-3)
@@ -179,7 +179,7 @@ def first_suspect(status: Status, *channels: str) -> int:
     opened = [gap for gap in status.gaps if gap.since is not None]
     assert set(channels) <= {gap.channel for gap in opened}
     assert {gap.channel.split("/")[0] for gap in opened} == {channel.split("/")[0] for channel in channels}
-    return min(gap.first for gap in opened)
+    return min(gap.first_sample for gap in opened)
 
 
 def split(items: list[Recorded], seconds: float) -> tuple[list[Recorded], list[Recorded]]:

@@ -24,5 +24,5 @@ def wait_until(look: Callable[[], object]) -> None:
 def final_estimate(worker: Worker) -> Estimate | GeomidError:
     """A worker's answer to a request for an estimate of all messages so far."""
     answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
-    worker.final_estimate(answers.put)
+    worker.request_estimate(answers.put)
     return answers.get(timeout=PATIENCE)

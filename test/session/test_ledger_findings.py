@@ -104,7 +104,7 @@ def from_node(messages: list[Recorded]) -> tuple[Session, Estimate, Any]:
     found = session()
     with closing(Worker(found, 3600.0, Listener())) as worker:
         for item in messages:
-            worker.take([Received(*item.raw, time.perf_counter())])
+            worker.enqueue([Received(*item.raw, time.perf_counter())])
         estimate = final_estimate(worker)
         assert isinstance(estimate, Estimate), estimate
         status = worker.status(active=True)

@@ -17,7 +17,7 @@ from geomid_ros.gap.result import Finding
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import identified_session, known_of
+from geomid_ros.session.gap import identified_session, prior_information
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -53,7 +53,7 @@ def estimate(live: Session) -> Estimate:
 
 
 def test_with_the_prior_it_is_all_that_is_known(live: Session, estimate: Estimate) -> None:
-    known, unsaid = known_of(identified_session(live, estimate))
+    known, unsaid = prior_information(identified_session(live, estimate))
     assert known is not None
     posterior = estimate.posterior
     units = posterior.jacobian * posterior.prior_spreads
@@ -72,15 +72,15 @@ def test_it_is_read_from_the_file_beside_the_model_and_without_it_effects_are_kn
     live: Session, estimate: Estimate, tmp_path: Path
 ) -> None:
     own = identified_session(live, estimate)
-    here, _ = known_of(own)
+    here, _ = prior_information(own)
     own.loaded = replace(own.loaded, posterior=None, source=str(tmp_path / "estimate.json"))
-    alone, deviations = known_of(own)
+    alone, deviations = prior_information(own)
     assert here is not None
     assert alone is not None
     assert len(alone.changes) == 0
     np.testing.assert_array_equal(deviations, own.loaded.deviations(own.model))
     write_posterior(tmp_path / "posterior.npz", estimate.posterior)
-    read, _ = known_of(own)
+    read, _ = prior_information(own)
     assert read is not None
     np.testing.assert_allclose(read.rows, here.rows, rtol=1e-9, atol=1e-9)
 
@@ -95,21 +95,21 @@ def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session
         given = {"nominal": own.prior, "deviations": deviations, "known": known}
         return list(find_gap(own.model, train, held, **given).sure)
 
-    (payload,) = sure(*known_of(own))
+    (payload,) = sure(*prior_information(own))
     mass = payload.parameters["mass"]
     assert payload.effect == "payload"
     assert abs(mass.value - PAYLOAD) < 3.0 * mass.std
     assert mass.std < 0.1 * PAYLOAD
     assert payload.share > 0.9, "without it other recordings would be trusted less until the links explain it"
     own.loaded = replace(own.loaded, posterior=None, source="elsewhere/estimate.json")
-    assert not sure(*known_of(own))
+    assert not sure(*prior_information(own))
 
 
 def test_a_posterior_of_other_links_tells_nothing(live: Session, estimate: Estimate) -> None:
     own = identified_session(live, estimate)
     other = replace(estimate.posterior, links=("a", "b", "c"))
     own.loaded = replace(own.loaded, posterior=other)
-    known, _ = known_of(own)
+    known, _ = prior_information(own)
     assert known is not None
     assert len(known.changes) == 0
 
@@ -120,4 +120,4 @@ def test_a_posterior_of_another_run_is_refused(live: Session, estimate: Estimate
     other = replace(estimate.posterior, parameters=1.01 * estimate.posterior.parameters)
     write_posterior(tmp_path / "posterior.npz", other)
     with pytest.raises(InputError, match=r"posterior\.npz: not of the estimate beside it, .*estimate\.json; keep"):
-        known_of(own)
+        prior_information(own)

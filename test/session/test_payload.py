@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from estimation.arms import Motion, efforts, motion, samples, shipped, truth
 
-from geomid_ros.exports.weighed_payload import weigh_at
+from geomid_ros.exports.weighed_payload import identify_payload_at
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.searches import look_for_gap
 from geomid_ros.model.robot import Robot
@@ -122,8 +122,8 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is() -> None:
     found = [weigh(session(), known, [recording_of_the_last_joint(seed)], link, 0.0) for seed in range(6)]
     off = np.array([(one.moment - MASS * COM) / one.moment_std for one in found])
     assert np.max(np.abs(off)) < 3.5
-    assert all(one.tells_moment_alone for one in found)
-    assert not weighed(0).tells_moment_alone
+    assert all(one.only_moment_identified for one in found)
+    assert not weighed(0).only_moment_identified
     (sure,) = [weigh(session(), known, [recording_of_the_last_joint(0)], link, 0.1)]
     assert np.all(sure.moment_std[[0, 2]] > found[0].moment_std[[0, 2]])
 
@@ -132,13 +132,15 @@ def test_what_is_not_told_is_not_said_first() -> None:
     bare = session()
     bare.identifier.add(recording(0, False))
     known = bare.identifier.solve().posterior
-    untold = weigh_at(session(), known, [recording_of_the_last_joint(0)], "tool", 0.0)
+    untold = identify_payload_at(session(), known, [recording_of_the_last_joint(0)], "tool", 0.0)
     assert re.match(
         r"m x 0\.026\S* ± 0\.00\S*, m y .*, m z 0\.10\S* ± .* kg m \(95 %\) in 'link3'; these motions do not",
         untold.sentence,
     )
     assert untold.document["moment"]["value"] == untold.weighed.moment.tolist()
-    assert re.match(r"1\.[23]\d* kg, from", weigh_at(session(), known, [recording(0, True)], "tool", 0.0).sentence)
+    assert re.match(
+        r"1\.[23]\d* kg, from", identify_payload_at(session(), known, [recording(0, True)], "tool", 0.0).sentence
+    )
 
 
 def test_gains_of_single_joints_are_in_the_deviations() -> None:

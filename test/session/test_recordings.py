@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from model.robots import fixed_base
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.samples import PIECE, Samples
+from geomid_ros.model.samples import SAMPLES_PER_PIECE, Samples
 from geomid_ros.session import recordings
 from geomid_ros.session.recordings import Bags, divided
 from geomid_ros.session.training import check_measured
@@ -102,7 +102,7 @@ def test_what_is_measured_late_is_measured(monkeypatch: pytest.MonkeyPatch) -> N
         since = whole.stamps[place]
         seen.clear()
         check_measured(session, [whole], [BAG])
-        assert len(seen) == place // PIECE + 1
+        assert len(seen) == place // SAMPLES_PER_PIECE + 1
     since = whole.stamps[0]
     later = replace(whole, stamps=whole.stamps - 10**12)
     check_measured(session, [whole, later], [BAG])

@@ -9,11 +9,11 @@ import pytest
 
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.files.models import posterior as files
-from geomid_ros.gap.evidence.features import Basis, StandingRemainder
-from geomid_ros.session.gap import known_of, standing_of
+from geomid_ros.gap.evidence.features import Basis, KnownRemainder
+from geomid_ros.session.gap import prior_information, standing_of
 
 NOTHING = np.zeros((0, 0))
-KEPT = StandingRemainder(
+KEPT = KnownRemainder(
     joints=("shoulder",), channels=("effort",), basis=Basis(NOTHING, (NOTHING,)), means=(NOTHING,), triangles=(NOTHING,)
 )
 
@@ -81,14 +81,14 @@ def test_of_a_robot_with_an_imu_the_total_mass_is_known_no_better_than_gravity()
         model=SimpleNamespace(body_names=[]),
         share_of_mass=0.01,
     )
-    found, _ = known_of(own)
+    found, _ = prior_information(own)
     assert found is not None
     before, after = (np.linalg.inv(each.rows.T @ each.rows) for each in (known, found))
     moved = np.where(np.arange(20) % 10 < 4, inertias, 0.0) * 0.01
     np.testing.assert_allclose(after, before + np.outer(moved, moved), rtol=1e-9, atol=1e-12)
     best = [np.linalg.solve(each.rows, -each.residuals) for each in (known, found)]
     np.testing.assert_allclose(*best, rtol=1e-9)
-    own.share_of_mass = 0.0
-    same, _ = known_of(own)
+    own.relative_mass_std = 0.0
+    same, _ = prior_information(own)
     assert same is not None
     np.testing.assert_array_equal(same.rows, known.rows)

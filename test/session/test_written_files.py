@@ -16,7 +16,7 @@ from files.recordings import BAGS
 from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.files.models.written_model import WrittenModel, moved, write_model, written_for
+from geomid_ros.files.models.written_model import WrittenModel, with_shifted_parameters, write_model, written_for
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
@@ -107,6 +107,8 @@ def test_a_payload_of_a_file_is_in_the_link_that_carries_it() -> None:
 
 def test_friction_that_shrinks_is_never_less_than_nothing() -> None:
     friction = effect("coulomb_friction", "joint1", level=0.2)
-    assert moved(friction, {"level": -0.5}).parameters["level"].value == 0.0
-    assert moved(friction, {"level": -0.05}).parameters["level"].value == pytest.approx(0.15)
-    assert WrittenModel({}, (moved(friction, {"level": -0.5}), friction)).said_by(("urdf",)).effects == (friction,)
+    assert with_shifted_parameters(friction, {"level": -0.5}).parameters["level"].value == 0.0
+    assert with_shifted_parameters(friction, {"level": -0.05}).parameters["level"].value == pytest.approx(0.15)
+    assert WrittenModel({}, (with_shifted_parameters(friction, {"level": -0.5}), friction)).said_by(
+        ("urdf",)
+    ).effects == (friction,)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from geomid_ros.signals.effort_quality import EffortQuality
+from geomid_ros.signals.effort_quality import EffortFaultDetector
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.types import FloatArray
 
@@ -18,7 +18,7 @@ NAMES = ("one", "two", "three")
 def told(efforts: FloatArray, turning: bool = True, piece: int = 50, speed: float = 0.1) -> tuple[list[str], list[str]]:
     """What is wrong, and what is noted."""
     found: list[str] = []
-    quality = EffortQuality(NAMES, np.full(3, turning), found.append)
+    quality = EffortFaultDetector(NAMES, np.full(3, turning), found.append)
     stamps = np.arange(COUNT) * PERIOD
     stamps[COUNT // 2 :] += 100_000_000_000  # a pause is no rate
     positions = np.cumsum(speed * np.ones((COUNT, 3)), axis=0) * PERIOD * 1e-9

@@ -11,7 +11,7 @@ import pytest
 
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.arrived import NOBODY
+from geomid_ros.signals.arrived import MISSING_JOINT_ADVICE
 from geomid_ros.signals.messages import Accepted
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
@@ -91,7 +91,7 @@ BAD_JOINTS: dict[str, tuple[Callable[[JointMessage], JointMessage], str]] = {
     "no effort": (lambda m: replace(soon(m), effort=()), "driver error: no effort of 'shoulder' or any other joint"),
     "a joint missing": (
         lambda m: without(soon(m), "elbow"),
-        f"joint 'elbow' is missing: {NOBODY}",
+        f"joint 'elbow' is missing: {MISSING_JOINT_ADVICE}",
     ),
     "another robot's": (
         lambda m: replace(soon(m), names=tuple(f"left_{n}" for n in m.names)),

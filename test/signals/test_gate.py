@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.signals.admission import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Admission, Gate
-from geomid_ros.signals.arrived import NOTHING, Arrived
+from geomid_ros.signals.admission import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Gate, ReorderBuffer
+from geomid_ros.signals.arrived import NO_MESSAGES, MessageBatch
 from geomid_ros.signals.settings import PATIENCE
 
 from .feeding import START
@@ -22,10 +22,10 @@ def judged(*stamps: int, others: int = 0) -> tuple[list[int], list[str], list[st
     notes: list[str] = []
     gate, used, refused, turns = Gate(MAX_GAP), [], [], []
     for place, stamp in enumerate([*stamps, *[None] * (others > 0)]):
-        new = NOTHING
+        new = NO_MESSAGES
         if stamp is not None:
-            new = Arrived(np.array([place]), np.array([stamp]), np.zeros((1, 6)), np.full(1, None))
-        messages, noted = gate.judge(new, place if len(new) else place - 1 + others)
+            new = MessageBatch(np.array([place]), np.array([stamp]), np.zeros((1, 6)), np.full(1, None))
+        messages, noted = gate.decide(new, place if len(new) else place - 1 + others)
         used += messages.stamps[messages.good].tolist()
         refused += messages.refusals[~messages.good].tolist()
         turns += [answer.noted for answer in noted.values() if answer.begins]
@@ -106,10 +106,10 @@ def test_late_ones_and_those_from_the_future_do_not_confirm_each_other() -> None
 def test_sources_go_on_in_the_order_in_which_they_came_first() -> None:
     """Whatever their names are: what is told of them, and what they wait for each other, does not change by chance."""
     sources = [(f"/wrench{number}", ()) for number in range(12)]
-    admission = Admission(lambda _: Gate(MAX_GAP), lambda *_: None)
+    admission = ReorderBuffer(lambda _: Gate(MAX_GAP), lambda *_: None)
     for begin in range(0, len(sources), 6):
         new = {
-            source: Arrived(np.array([place]), np.array([START]), np.zeros((1, 6)), np.full(1, None))
+            source: MessageBatch(np.array([place]), np.array([START]), np.zeros((1, 6)), np.full(1, None))
             for place, source in enumerate(sources[begin : begin + 6], begin)
         }
         (admitted,) = admission.take(new, begin + 5)

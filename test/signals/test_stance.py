@@ -25,7 +25,7 @@ def judged(samples: Samples, sizes: Sequence[int]) -> Samples:
     """What comes of samples, so many of which come at once."""
     stance, found = Stance(lambda each: each.effort, CUTOFF), []
     for end, size in zip(np.cumsum(sizes), sizes, strict=True):
-        known = stance.known(samples.select(slice(int(end) - size, int(end))))
+        known = stance.with_stance(samples.select(slice(int(end) - size, int(end))))
         found += [known] if known is not None else []
     return Samples.concatenate(found)
 

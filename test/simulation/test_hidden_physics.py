@@ -14,7 +14,7 @@ from files.recordings import QUICK
 from scipy.interpolate import CubicSpline
 
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
-from geomid_ros.simulation.effects.physics import sensed
+from geomid_ros.simulation.effects.physics import noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.types import FloatArray
 
@@ -70,7 +70,7 @@ class Situation:
 
 def situation(hidden: Hidden, folder: Path, options: SimulationOptions = OPTIONS) -> Situation:
     run = simulated(replace(options, hide=(hidden,)), folder)
-    seen = sensed(run.trace, run.robot.plant.joints, run.robot.effects)
+    seen = noiseless_measurement(run.trace, run.robot.plant.joints, run.robot.effects)
     return Situation(run, seen, run.independent.truth["effects"][0])
 
 

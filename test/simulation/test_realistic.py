@@ -15,7 +15,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.options import LINK_MASS
-from geomid_ros.simulation.realistic import LuGre, RealisticRobot, build_realistic, kept
+from geomid_ros.simulation.realistic import LuGre, RealisticRobot, arrival_mask, build_realistic
 from geomid_ros.simulation.recording import closed_loop
 from geomid_ros.types import FloatArray
 
@@ -133,7 +133,7 @@ def test_messages_are_as_declared(tmp_path: Path) -> None:
 
 
 def test_losses_have_their_share_and_length() -> None:
-    arrives = kept(200_000, 0.02, 3.0, np.random.default_rng(1))
+    arrives = arrival_mask(200_000, 0.02, 3.0, np.random.default_rng(1))
     starts = int(np.sum(arrives[:-1] & ~arrives[1:]))
     assert 1.0 - arrives.mean() == pytest.approx(0.02, rel=0.1)
     assert float(np.sum(~arrives)) / starts == pytest.approx(3.0, rel=0.1)

@@ -12,7 +12,7 @@ from benchmarks.blind.realistic.case import RealisticCase
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import SimulationOptions
 from geomid_ros.simulation.description import body_of, pseudo_inertia
-from geomid_ros.simulation.effects.physics import sensed
+from geomid_ros.simulation.effects.physics import noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic import RealisticRobot, build_realistic, published
@@ -58,7 +58,7 @@ class _Run:
         options = replace(options, robot=robot_file(options.robot))
         self.robot: RealisticRobot = build_realistic(options)
         self.trace: RunTrace = record(self.robot, closed_loop(self.robot, options), options)
-        self.effort = sensed(self.trace, self.robot.plant.joints, self.robot.effects).effort
+        self.effort = noiseless_measurement(self.trace, self.robot.plant.joints, self.robot.effects).effort
         self._rate = options.rate
         self._at = np.arange(0, options.samples, max(1, round(_EVERY * options.rate)))
 
@@ -89,7 +89,7 @@ class _Run:
     def floor(self) -> FloatArray:
         """Root mean square ``(n,)`` of what nobody can model, in the band."""
         still, clean = replace(self.robot.sensors, jitter=0.0, lost=0.0), replace(self.trace, effort=self.effort)
-        unseen = np.array(list(map(self.robot.motors.unseen, self.trace.effort, self.trace.position)))
+        unseen = np.array(list(map(self.robot.motors.unmeasured_effort, self.trace.effort, self.trace.position)))
         squares = []
         for draw in range(_DRAWS):
             noisy = published(clean, still, np.random.default_rng(draw)).effort

@@ -60,7 +60,7 @@ class Bag:
 
     def _warnings(self, files: _BagFiles) -> tuple[str, ...]:
         """Sentences on missing parts. Raises InputError if no message is left."""
-        cut = [storage.cut for storage in self._storages if storage.cut]
+        cut = [storage.truncation for storage in self._storages if storage.truncation]
         count = sum(sum(storage.counts.values()) for storage in self._storages)
         if cut and not count:
             raise InputError(f"{'; '.join(cut)}. It cannot be read as a rosbag2 recording")

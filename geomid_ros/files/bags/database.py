@@ -24,7 +24,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
-from geomid_ros.files.bags.storage import FaultError, RawMessage, Storage, TornError
+from geomid_ros.files.bags.storage import FaultError, RawMessage, Storage, TruncatedFileError
 from geomid_ros.files.disk import MOST_BYTES
 
 _MAGIC = b"SQLite format 3\0"
@@ -41,7 +41,7 @@ _NEEDED = {"topics": {"id", "name", "type", "serialization_format"}, "messages":
 class Database(Storage):
     """An open SQLite file."""
 
-    rescue = "'sqlite3 FILE .recover' may save it"
+    recovery_hint = "'sqlite3 FILE .recover' may save it"
 
     def __init__(self, path: Path) -> None:
         self._topics: dict[int, tuple[str, str]] = {}
@@ -64,13 +64,13 @@ class Database(Storage):
         list(self._query(f"PRAGMA hard_heap_limit = {4 * MOST_BYTES}"))
         self._check_size(header)
         if journal := self._beside("-journal"):
-            raise TornError(f"{journal.name} holds a part of it; 'sqlite3 FILE VACUUM' merges both")
+            raise TruncatedFileError(f"{journal.name} holds a part of it; 'sqlite3 FILE VACUUM' merges both")
         self._check_schema()
         self._check_pages()
         self._read_topics()
         last = self._count_messages()
         if self._beside("-wal"):
-            self.cut = self._truncated(TornError("it was not closed"), sum(self.counts.values()), last)
+            self.truncation = self._truncated(TruncatedFileError("it was not closed"), sum(self.counts.values()), last)
 
     def _address(self) -> str:
         """URI of the database for SQLite: a copy, if it has a write-ahead log."""
@@ -136,11 +136,11 @@ class Database(Storage):
     def _check_size(self, header: bytes) -> None:
         """Compare the file's size with the header's page count, unless an old program changed the file."""
         if len(header) < _HEADER.size:
-            raise TornError("the file is empty" if not header else "the file ends in its first bytes", 0)
+            raise TruncatedFileError("the file is empty" if not header else "the file ends in its first bytes", 0)
         page_size, changes, pages, changes_then = _HEADER.unpack(header)
         expected = pages * (page_size if page_size > 1 else 1 << 16)
         if changes == changes_then and expected > self._size:
-            raise TornError(f"of {expected} bytes, {self._size} are there", self._size)
+            raise TruncatedFileError(f"of {expected} bytes, {self._size} are there", self._size)
 
     def _check_schema(self) -> None:
         for name, text in self._query("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"):

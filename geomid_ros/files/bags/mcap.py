@@ -20,7 +20,15 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.bags.storage import PIECE, FaultError, RawMessage, Storage, TornError, unpacked, unpacked_part
+from geomid_ros.files.bags.storage import (
+    PIECE,
+    FaultError,
+    RawMessage,
+    Storage,
+    TruncatedFileError,
+    unpacked,
+    unpacked_part,
+)
 from geomid_ros.files.disk import MOST_BYTES
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -86,7 +94,7 @@ class _Fields:
 class McapFile(Storage):
     """An open MCAP file; a file that is only truncated is read."""
 
-    rescue = "'mcap recover' may save it"
+    recovery_hint = "'mcap recover' may save it"
 
     def __init__(self, path: Path) -> None:
         self._schemas: dict[int, str] = {}
@@ -155,7 +163,7 @@ class McapFile(Storage):
         if not _MAGIC.startswith(first):
             raise FaultError("it does not begin with an MCAP header", 0)
         if first != _MAGIC:
-            raise TornError("the file is empty" if not first else "the file ends in its first bytes", 0)
+            raise TruncatedFileError("the file is empty" if not first else "the file ends in its first bytes", 0)
         data_end = 0
         for kind, begin, end in self._walk():
             if data_end:
@@ -171,7 +179,7 @@ class McapFile(Storage):
                 self._add(self._examined(begin, end, kind == _Kind.CHUNK))
         last = self._size - len(_MAGIC)
         if self._bytes(last, self._size) != _MAGIC or not data_end:
-            raise TornError("its end is missing", self._size)
+            raise TruncatedFileError("its end is missing", self._size)
         self._check_sum(data_end, last - 4, self._number(last - 4, 4), "summary")
 
     def _walk(self) -> Iterator[tuple[int, int, int]]:
@@ -180,7 +188,7 @@ class McapFile(Storage):
         while kind != _Kind.FOOTER:
             head = self._bytes(begin, begin + _RECORD.size)
             if len(head) < _RECORD.size or not any(head):  # a power failure may leave zeros
-                raise TornError("the file ends before its footer", begin)
+                raise TruncatedFileError("the file ends before its footer", begin)
             kind, length = _RECORD.unpack(head)
             if not _Kind.HEADER <= kind <= _Kind.DATA_END and not kind & _Kind.PRIVATE:
                 raise FaultError(f"a record of the unknown kind {kind}", begin)
@@ -191,7 +199,7 @@ class McapFile(Storage):
                 if kind == _Kind.CHUNK:
                     self._add_truncated(begin)
                 available = self._size - begin - _RECORD.size
-                raise TornError(f"a record of {length} bytes, of which {available} are there", begin)
+                raise TruncatedFileError(f"a record of {length} bytes, of which {available} are there", begin)
             yield kind, begin, end
             begin = end
 

@@ -34,32 +34,32 @@ class FaultError(Exception):
         self.sentence = f", {why}" if offset is None else f" at byte {offset}, {why}"
 
 
-class TornError(FaultError):
+class TruncatedFileError(FaultError):
     """The file ends too early: its recorder was killed, or its copy is incomplete. The existing part is intact."""
 
 
 class Storage(ABC):
     """An open file of a recording, which was examined completely.
 
-    ``counts``: number of messages by topic and type; ``start``: recording time of the first one [ns]. ``cut`` states
-    where the file is truncated and how much of it is intact; empty if it is complete. ``checked`` is True if it has
-    checksums, which reveal damaged numbers.
+    ``counts``: number of messages by topic and type; ``start``: recording time of the first one [ns]. ``truncation``
+    states where the file ends too early and how much of it is intact; empty if it is complete. ``checked`` is True if
+    it has checksums, which reveal damaged numbers.
 
     Raises InputError naming the file, the place of damage if known, and how much can be read.
     """
 
-    rescue = ""
+    recovery_hint = ""
     """Advice on recovering a part of a damaged file."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._size = path, path.stat().st_size
         self.counts: dict[tuple[str, str], int] = {}
         self.start: int | None = None
-        self.cut, self.checked = "", True
+        self.truncation, self.checked = "", True
         try:
             self._examine()
-        except TornError as fault:
-            self.cut = self._truncated(fault, *self._whole())
+        except TruncatedFileError as fault:
+            self.truncation = self._truncated(fault, *self._whole())
         except FaultError as fault:
             error = self._damaged(fault, *self._whole())
             self.close()
@@ -82,7 +82,7 @@ class Storage(ABC):
         """Number of readable messages in a file with a fault, and the recording time of the last one [ns]."""
 
     def _damaged(self, fault: FaultError, count: int, time: int) -> InputError:
-        part = f"Only a part is readable: {count} messages, up to {time * 1e-9:.3f} s. {self.rescue}"
+        part = f"Only a part is readable: {count} messages, up to {time * 1e-9:.3f} s. {self.recovery_hint}"
         readable = part if count else "No message before that can be read"
         return InputError(f"{self._path}: cannot be read as a rosbag2 recording: damaged{fault.sentence}. {readable}")
 

@@ -33,7 +33,7 @@ import yaml
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.parameter_file import read_yaml
-from geomid_ros.files.schema import FORMAT, check, check_form, plain, structured
+from geomid_ros.files.schema import FORMAT, check, check_form, from_document, to_document
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import (
     EFFECTS,
@@ -120,7 +120,7 @@ def effects_of_dynamics() -> dict[str, str]:
     }
 
 
-def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
+def unrepresentable(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
     """Effects in words that ``files`` (see :meth:`~geomid_ros.model.effects.ParameterForm.said_by`) cannot represent.
 
     Sensor errors are ignored, as they are not part of a robot.
@@ -131,7 +131,7 @@ def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
         cls = effect_class(effect.effect)
         forms = [form for form in cls.parameters if form.name in effect.parameters]
         # No format has a constant of default value, and no simulator needs it.
-        missing = [form.name for form in forms if not form.said_by(files) and form.name != cls.usual_constant]
+        missing = [form.name for form in forms if not form.said_by(files) and form.name != cls.default_constant]
         if missing and not cls.of_sensor:
             name = cls.label if cls.label[0].isupper() else effect.effect.replace("_", " ")
             phrase = name + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
@@ -144,10 +144,10 @@ def payload_parameters(payload: Mapping[str, float]) -> FloatArray:
     return pseudo_inertia.parameters_of(np.array([payload[name] for name in QUANTITY_NAMES]))
 
 
-def turned_gravity(gravity: FloatArray, effects: Iterable[KnownEffect]) -> FloatArray:
+def tilted_gravity(gravity: FloatArray, effects: Iterable[KnownEffect]) -> FloatArray:
     """Gravity ``(3,)`` in the frame of a base that the effects tilt, from that of an upright base."""
     for effect in effects:
-        gravity = effect_class(effect.effect).turned_gravity(gravity, values_of(effect))
+        gravity = effect_class(effect.effect).tilted_gravity(gravity, values_of(effect))
     return gravity
 
 
@@ -163,7 +163,7 @@ def combined(effects: Iterable[KnownEffect]) -> list[KnownEffect]:
     return list(merged.values())
 
 
-def continued(estimated: Sequence[KnownEffect], known: Sequence[KnownEffect]) -> list[KnownEffect]:
+def updated_effects(estimated: Sequence[KnownEffect], known: Sequence[KnownEffect]) -> list[KnownEffect]:
     """Update the effects of a model that began with ``known`` ones, after coefficients were ``estimated``.
 
     Estimated effects replace known ones, or update known effects that consist of them. Effects that were not estimated
@@ -193,7 +193,7 @@ def _refined(effect: KnownEffect, remaining: dict[tuple[str, str], KnownEffect])
 def coefficient(name: str, joint: str, quantity: Quantity, constant: Quantity | None = None) -> KnownEffect:
     """Make an effect of one parameter, with a constant if it differs from the default."""
     cls = effect_class(name)
-    constants = {} if constant is None else {cls.usual_constant: constant}
+    constants = {} if constant is None else {cls.default_constant: constant}
     return KnownEffect(name, joint, "", {cls.parameters[0].name: quantity} | constants)
 
 
@@ -237,9 +237,9 @@ def _check_quantity(size: Quantity, form: ParameterForm, where: str) -> None:
 def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
     """Entry in ``estimate.json`` of an effect of one coefficient at a joint; a default constant is left out."""
     quantity, *_ = effect.parameters.values()
-    name = effect_class(effect.effect).usual_constant
+    name = effect_class(effect.effect).default_constant
     constants = {name: effect.parameters[name].value} if name in effect.parameters else {}
-    return {"name": effect.effect, "joint": effect.joint, **plain(quantity), **constants}
+    return {"name": effect.effect, "joint": effect.joint, **to_document(quantity), **constants}
 
 
 def effects_entries(effects: Iterable[KnownEffect]) -> dict[str, Any]:
@@ -247,7 +247,7 @@ def effects_entries(effects: Iterable[KnownEffect]) -> dict[str, Any]:
     kinds: dict[str, Any] = {"effects": [], "added": []}
     for effect in effects:
         single = is_coefficient(effect)
-        kinds["effects" if single else "added"].append(coefficient_entry(effect) if single else plain(effect))
+        kinds["effects" if single else "added"].append(coefficient_entry(effect) if single else to_document(effect))
     return kinds
 
 
@@ -267,7 +267,7 @@ def _entry(effect: KnownEffect, alone: KnownEffect) -> dict[str, Any]:
     forms = [form for form in effect_class(effect.effect).parameters if form.name in effect.parameters]
     other = {n: float(q.value) for n, q in alone.parameters.items() if q.value != effect.parameters[n].value}
     return {
-        **{key: item for key, item in plain(effect).items() if item},
+        **{key: item for key, item in to_document(effect).items() if item},
         "urdf": [form.name for form in forms if form.urdf],
         "mjcf": [form.name for form in forms if form.mjcf],
         **({"alone": other} if other else {}),
@@ -278,7 +278,7 @@ def read_sidecar(path: Path) -> Sidecar:
     """Read a sidecar. Raises InputError naming the file and the key."""
     document = read_yaml(path, "file of effects")
     check_form(document, ("effects",), f"{path}:", "file of effects")
-    sidecar = structured(Sidecar, document, f"{path}:")
+    sidecar = from_document(Sidecar, document, f"{path}:")
     for (name, place), count in Counter((e.effect, e.link or e.joint) for e in sidecar.effects).items():
         if count > 1:
             raise InputError(f"{path}: {name} is said twice at '{place}'")

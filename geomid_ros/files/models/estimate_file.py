@@ -24,16 +24,22 @@ from geomid_ros.estimation.estimate import (
     WeighedEstimate,
 )
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
-from geomid_ros.files.models.effects_file import coefficient, coefficient_entry, combined, continued, is_coefficient
+from geomid_ros.files.models.effects_file import (
+    coefficient,
+    coefficient_entry,
+    combined,
+    is_coefficient,
+    updated_effects,
+)
 from geomid_ros.files.schema import (
     FORMAT,
     Matrix,
     Vector,
-    entry,
+    attributes_entry,
+    from_document,
     packed,
-    plain,
     read_document,
-    structured,
+    to_document,
     unpacked,
     unpacked_triangle,
 )
@@ -210,7 +216,7 @@ class EstimateFile:
     @staticmethod
     def of(document: Mapping[str, Any], source: str) -> EstimateFile:
         """Read the content of a file. Raises InputError naming the ``source``."""
-        return structured(EstimateFile, {**document, "source": source, "document": document}, f"{source}:")
+        return from_document(EstimateFile, {**document, "source": source, "document": document}, f"{source}:")
 
     @cached_property
     def inertias(self) -> dict[str, FloatArray]:
@@ -252,7 +258,7 @@ class EstimateFile:
         return next((entry.file for entry in self.handover.values() if entry.file), "identified.urdf")
 
     @property
-    def doubt(self) -> str:
+    def warning(self) -> str:
         """Sentence on why the estimate should not be used; empty if it is usable."""
         verdict = self.judgement
         if verdict.word == USABLE:
@@ -339,8 +345,8 @@ def _known_effect(entry: CoefficientEntry, raw: Mapping[str, Any], source: str) 
     if not math.isfinite(entry.value):
         raise InputError(f"{source} {entry.name} at '{entry.joint}' has no value, expected a finite number")
     constant = None
-    if cls.usual_constant in raw:
-        (form,) = (form for form in cls.parameters if form.name == cls.usual_constant)
+    if cls.default_constant in raw:
+        (form,) = (form for form in cls.parameters if form.name == cls.default_constant)
         value = raw[form.name]
         if type(value) not in (int, float) or not form.above < value < form.below:
             where = f"{source} {form.name} of {cls.name} at '{entry.joint}'"
@@ -405,27 +411,29 @@ def estimate_document(
     )
     return {
         "format": FORMAT,
-        **entry(estimate, "converged", "reason"),
+        **attributes_entry(estimate, "converged", "reason"),
         "seconds": round(estimate.seconds, 3),
-        **entry(estimate, "steps", "gamma"),
+        **attributes_entry(estimate, "steps", "gamma"),
         "rows": {"accepted": estimate.rows_accepted, "set_aside": estimate.rows_set_aside, "rejected": rejected},
         "links": [
             link_entry(link.name, link.merged, link.parameters)
-            | {"std": plain(InertiaEntry(mass=link.std_mass, com=link.std_com, inertia=link.std_inertia))}
-            | entry(link, "distance_from_prior", "from_data", "min_eigenvalue_ratio", "cannot_tell")
+            | {"std": to_document(InertiaEntry(mass=link.std_mass, com=link.std_com, inertia=link.std_inertia))}
+            | attributes_entry(link, "distance_from_prior", "from_data", "min_eigenvalue_ratio", "cannot_tell")
             | {"identified_moments": [*link.moments], "outlier": link.outlier}
             for link in estimate.links
         ],
         "effects": [coefficient_entry(e) | {"from_data": share} for e, share in effects if is_coefficient(e)],
         "added": [
-            plain(e) | ({} if share is None else {"from_data": share}) for e, share in effects if not is_coefficient(e)
+            to_document(e) | ({} if share is None else {"from_data": share})
+            for e, share in effects
+            if not is_coefficient(e)
         ],
-        "known": [entry(mass, "name", "mass", "std", "given", "given_std") for mass in estimate.known],
+        "known": [attributes_entry(mass, "name", "mass", "std", "given", "given_std") for mass in estimate.known],
         "rms": {
             kind: None if values is None else by_channel(estimate.channels, values) for kind, values in rms.items()
         },
         "sigma": by_channel(estimate.channels, estimate.sigmas),
-        "information": plain(information) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
+        "information": to_document(information) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
 
 
@@ -440,18 +448,22 @@ def shares_from_data(estimate: Estimate) -> dict[tuple[str, str], float]:
 def model_effects(estimate: Estimate, known: Sequence[KnownEffect]) -> list[KnownEffect]:
     """All effects, as in files, of the model of an estimate that began with the ``known`` ones."""
     estimated = combined(KnownEffect(effect.name, effect.joint, "", effect.parameters) for effect in estimate.effects)
-    return continued(estimated, known)
+    return updated_effects(estimated, known)
 
 
 def link_entry(name: str, merged: Sequence[str], parameters: FloatArray) -> dict[str, Any]:
     """Entry of a link with parameters ``(10,)`` and the fixed links merged into it."""
     com, inertia = pseudo_inertia.centre_of_mass(parameters), pseudo_inertia.central_inertia(parameters)
-    return {"name": name, "merged": [*merged], **plain(InertiaEntry(mass=parameters[0], com=com, inertia=inertia))}
+    return {
+        "name": name,
+        "merged": [*merged],
+        **to_document(InertiaEntry(mass=parameters[0], com=com, inertia=inertia)),
+    }
 
 
 def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
     """Values by channel name; NaN and infinity become null."""
-    return dict(zip(channels, plain(values), strict=True))
+    return dict(zip(channels, to_document(values), strict=True))
 
 
 def verdict_entry(verdict: Verdict, findings: Sequence[Finding]) -> dict[str, Any]:
@@ -461,7 +473,10 @@ def verdict_entry(verdict: Verdict, findings: Sequence[Finding]) -> dict[str, An
 
 def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """Causes found in a recording, with the parameters that fix them."""
-    return [plain(finding.cause) | {"sure": finding.sure, "rivals": plain(finding.rivals)} for finding in findings]
+    return [
+        to_document(finding.cause) | {"sure": finding.sure, "rivals": to_document(finding.rivals)}
+        for finding in findings
+    ]
 
 
 def account_entry(account: Account) -> dict[str, Any]:

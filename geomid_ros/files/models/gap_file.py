@@ -18,14 +18,14 @@ from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.causes import Finding as Doubt
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import by_channel
-from geomid_ros.files.schema import FORMAT, entry, plain, read_document, structured
+from geomid_ros.files.schema import FORMAT, attributes_entry, from_document, read_document, to_document
 from geomid_ros.gap.result import (
     Finding,
     GapErrors,
     GapResult,
     LinkChange,
-    Located,
     Ranked,
+    ResidualDependence,
     Rival,
     Trace,
     Unexplained,
@@ -100,7 +100,7 @@ class GapFile:
     resimulated: Errors | None
     closed_loop: Errors | None
     units: Mapping[str, str]
-    located: tuple[Located, ...]
+    located: tuple[ResidualDependence, ...]
     ranking: tuple[Ranked, ...]
     bodies: tuple[BodyEntry, ...]
     cutoff: float
@@ -118,7 +118,7 @@ class GapFile:
     @staticmethod
     def of(document: Mapping[str, Any], source: str) -> GapFile:
         """Read the content of a document. Raises InputError naming the ``source`` and the fault."""
-        return structured(GapFile, {**document, "source": source}, f"{source}:")
+        return from_document(GapFile, {**document, "source": source}, f"{source}:")
 
     @property
     def nominal(self) -> FloatArray:
@@ -166,7 +166,7 @@ def _no_trace(channels: int) -> Trace:
 def read_gap(path: Path) -> dict[str, Any]:
     """Read a ``gap.json``. Raises InputError naming it."""
     document = read_document(path, "gap report", ("findings",))
-    structured(_Findings, document, f"{path}:")
+    from_document(_Findings, document, f"{path}:")
     return document
 
 
@@ -188,7 +188,7 @@ def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]
 
     Raises InputError naming the file and the fault, or that no finding is open.
     """
-    document = structured(_Findings, read_gap(path), f"{path}:")
+    document = from_document(_Findings, read_gap(path), f"{path}:")
     findings = [finding for finding in document.findings if finding.rivals]
     for rival in (rival for finding in findings for rival in finding.rivals):
         effect_class(rival.effect)
@@ -207,14 +207,14 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
     channels, gap = result.channels, result.gap
     return {
         "format": FORMAT,
-        **entry(result, "verdict", "unexplained", "unjudged", "ordinary"),
-        "findings": [plain(item) | entry(item, "confidence") for item in result.findings],
-        "links": [plain(item) | entry(item, "confidence", "sentence") for item in result.links],
+        **attributes_entry(result, "verdict", "unexplained", "unjudged", "ordinary"),
+        "findings": [to_document(item) | attributes_entry(item, "confidence") for item in result.findings],
+        "links": [to_document(item) | attributes_entry(item, "confidence", "sentence") for item in result.links],
         "gap": {kind: by_channel(channels, getattr(gap, kind)) for kind in _KINDS}
         | {"moving": by_channel(channels, result.moving)},
         "floor": by_channel(channels, result.corrected_floor),
-        "resimulated": plain(simulations.get("windows")),
-        "closed_loop": plain(simulations.get("closed_loop")),
+        "resimulated": to_document(simulations.get("windows")),
+        "closed_loop": to_document(simulations.get("closed_loop")),
     }
 
 
@@ -228,8 +228,8 @@ def page_entries(result: GapResult, nominal: FloatArray) -> dict[str, Any]:
     bodies = zip(result.bodies, nominal, result.inertias, strict=True)
     return {
         "units": dict(zip(result.channels, result.units, strict=True)),
-        **entry(result, "located", "ranking"),
-        "bodies": [plain(BodyEntry(name=name, before=before, after=after)) for name, before, after in bodies],
+        **attributes_entry(result, "located", "ranking"),
+        "bodies": [to_document(BodyEntry(name=name, before=before, after=after)) for name, before, after in bodies],
         "cutoff": result.cutoff,
         "seconds": round(result.seconds, 3),
     }

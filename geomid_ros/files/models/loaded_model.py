@@ -20,11 +20,11 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.effects_file import (
     by_parameter,
     combined,
-    continued,
     is_body,
     payload_name,
     payload_parameters,
-    turned_gravity,
+    tilted_gravity,
+    updated_effects,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.written_model import WrittenModel, written_for
@@ -77,7 +77,7 @@ class LoadedModel:
             effects=tuple(file.known_effects),
             known=information,
             merged=file.merged,
-            doubt=file.doubt,
+            doubt=file.warning,
             fitted=fitted,
         )
 
@@ -90,7 +90,7 @@ class LoadedModel:
         Args:
             model: a measurement model.
             coefficients: coefficients of its effects; NaN or an invalid sign drops the effect.
-            beside: the remaining ones of :attr:`beside_coefficients`.
+            beside: the remaining ones of :attr:`situational_effects`.
         """
         stds = self.deviations(model)[len(model.nominal_inertias) :].tolist()
         entries = [
@@ -103,10 +103,10 @@ class LoadedModel:
         kept = [
             known for known in self.effects if not _is_situational(known) and (known.effect, known.joint) not in gone
         ]
-        return LoadedModel(self.source, None, tuple(continued(combined(entries), [*kept, *beside])))
+        return LoadedModel(self.source, None, tuple(updated_effects(combined(entries), [*kept, *beside])))
 
     @property
-    def beside_coefficients(self) -> list[KnownEffect]:
+    def situational_effects(self) -> list[KnownEffect]:
         """Effects in samples that no measurement model has as coefficients, as they depend on its state."""
         return [effect for effect in self.in_samples if _is_situational(effect)]
 
@@ -128,7 +128,7 @@ class LoadedModel:
 
     def gravity(self, gravity: FloatArray) -> FloatArray:
         """Gravity ``(3,)`` in the base frame, from that of an upright base."""
-        return turned_gravity(gravity, self.effects)
+        return tilted_gravity(gravity, self.effects)
 
     def locked(self, tree: UrdfTree) -> list[str]:
         """Names of a description's joints that were locked when the model was identified: the links at both ends were
@@ -206,7 +206,7 @@ class LoadedModel:
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
         return np.concatenate([*inertias, coefficients])
 
-    def in_its_shape(self, model: MeasurementModel) -> BoolArray:
+    def shape_mask(self, model: MeasurementModel) -> BoolArray:
         """Boolean mask ``(coefficients,)`` of ``model``: False for another shape of a mechanism that is known."""
         is_known = [(c.effect, c.place_name, c.parameter) in self._coefficients for c in model.coefficients]
         mechanisms = {c.mechanism for c, known in zip(model.coefficients, is_known, strict=True) if known}
@@ -264,5 +264,5 @@ class LoadedModel:
 
 def _is_situational(effect: KnownEffect) -> bool:
     cls = effect_class(effect.effect)
-    identified = issubclass(cls, LoadEffect) or cls.corrected_in_samples or cls.absorbed
+    identified = issubclass(cls, LoadEffect) or cls.corrected_in_samples or cls.compensated_in_samples
     return issubclass(cls, SituationEffect) and not identified

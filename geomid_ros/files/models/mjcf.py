@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_parameters, turned_gravity
+from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_parameters, tilted_gravity
 from geomid_ros.files.models.urdf import JointFrame, joint_frames
 from geomid_ros.files.models.xml_edits import Edit, descendants_of, edited, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
@@ -171,7 +171,7 @@ class _Writer:
         self._tendon_attributes = [(name, numbers) for pairs in tendons for name, numbers in pairs.items()]
         self._effects = {(effect.effect, effect.joint): values_of(effect) for effect in effects}
         self._payloads = {effect.link: values_of(effect) for effect in effects if is_body(effect)}
-        self._gravity = turned_gravity(gravity, effects)
+        self._gravity = tilted_gravity(gravity, effects)
 
     def document(self, sensors: Sequence[WrenchSensor], shapes: Shapes) -> Element:
         root = Element("mujoco", model=self._robot.name)

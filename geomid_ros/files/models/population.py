@@ -23,7 +23,7 @@ from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.estimate_file import LinkEntry, inertias_of, link_entry
-from geomid_ros.files.schema import FORMAT, packed, plain, read_document, structured, unpacked_triangle
+from geomid_ros.files.schema import FORMAT, from_document, packed, read_document, to_document, unpacked_triangle
 from geomid_ros.types import FloatArray, frozen
 
 _NUMBER = "<f8"
@@ -47,7 +47,7 @@ def population_document(population: Population) -> dict[str, Any]:
         "robots": population.robots,
         "links": [link_entry(name, (), parameters) for name, parameters in zip(population.links, bodies, strict=True)],
         "effects": [
-            plain(effect) | {"value": value} | ({} if effect.positive else {"scale": next(scales)})
+            to_document(effect) | {"value": value} | ({} if effect.positive else {"scale": next(scales)})
             for effect, value in zip(population.effects, values, strict=True)
         ],
         "covariance": packed(triangle, _NUMBER),
@@ -71,7 +71,7 @@ class _PopulationDocument:
 def read_population(path: Path) -> Population:
     """Read a population. Raises InputError naming the file and its fault."""
     document = read_document(path, "population", ("robots", "links", "effects", "covariance"))
-    content = structured(_PopulationDocument, document, f"{path}:")
+    content = from_document(_PopulationDocument, document, f"{path}:")
     inertias, effects = inertias_of(content.links, str(path)), content.effects
     try:
         triangle = unpacked_triangle(content.covariance, _NUMBER, 10 * len(inertias) + len(effects))

@@ -5,7 +5,7 @@ A NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format`
 same names of :class:`~geomid_ros.estimation.posterior.Posterior`, which describes their coordinates.
 
 From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
-:class:`~geomid_ros.gap.evidence.features.StandingRemainder`. Then ``knots`` are those of its basis. Each channel has
+:class:`~geomid_ros.gap.evidence.features.KnownRemainder`. Then ``knots`` are those of its basis. Each channel has
 ``scales_N``, ``mean_N``, which is empty if nothing is known, and ``triangle_N``: the upper triangle, row by row, in
 float32.
 """
@@ -26,8 +26,8 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.files.disk import read_bytes, write_bytes
-from geomid_ros.files.schema import plain, structured, upper_triangle
-from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis, StandingRemainder
+from geomid_ros.files.schema import from_document, from_upper_triangle, to_document
+from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis, KnownRemainder
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import AnyArray, FloatArray, IntArray, frozen
 
@@ -45,7 +45,7 @@ _UNREADABLE = (zipfile.BadZipFile, LookupError, TypeError, ValueError, RuntimeEr
 _Arrays: TypeAlias = Mapping[str, AnyArray]
 
 
-def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemainder | None = None) -> list[Path]:
+def write_posterior(path: Path, posterior: Posterior, remainder: KnownRemainder | None = None) -> list[Path]:
     """Write a posterior, and the model's remainder if it is known, valid and not larger than the largest posterior.
     Nothing is written for a robot with more than 2000 parameters. Returns the files.
 
@@ -58,7 +58,7 @@ def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemaind
         "links": [
             {"name": name, "merged": merged} for name, merged in zip(posterior.links, posterior.merged, strict=True)
         ],
-        "effects": plain(posterior.effects),
+        "effects": to_document(posterior.effects),
     }
     arrays = {name: getattr(posterior, name) for name in (*_VECTORS, "scales", "covariance")}
     if remainder is not None and _size_of(remainder) < 8 * _MOST_PARAMETERS**2 and not _objection(remainder):
@@ -70,7 +70,7 @@ def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemaind
     return [path]
 
 
-def beside(estimate: Path) -> Path:
+def posterior_path(estimate: Path) -> Path:
     """Path of the posterior that was written with an ``estimate.json``. Raises InputError if there is none."""
     path = estimate.with_name(POSTERIOR)
     if estimate.is_file() and not path.is_file():
@@ -86,7 +86,7 @@ def read_posterior(path: Path) -> Posterior:
     return _read(path, _posterior)
 
 
-def check_of(posterior: Posterior, file: Path, inertias: Mapping[str, FloatArray], source: str) -> None:
+def check_matches_estimate(posterior: Posterior, file: Path, inertias: Mapping[str, FloatArray], source: str) -> None:
     """Raise InputError unless a posterior, read from a ``file``, belongs to the estimate ``source``, which has these
     ``inertias (10,)`` by link."""
     if posterior.links != tuple(inertias):
@@ -106,7 +106,7 @@ def places_in(posterior: Posterior, model: MeasurementModel) -> IntArray:
     return np.concatenate([*links, np.array(coefficients, dtype=np.int64)])
 
 
-def read_remainder(path: Path) -> StandingRemainder | None:
+def read_remainder(path: Path) -> KnownRemainder | None:
     """Read the model's remainder; None if the file has none. Raises InputError naming the file."""
     return _read(path, _remainder)
 
@@ -160,15 +160,15 @@ def _header(arrays: _Arrays) -> _Header:
     document = json.loads(str(arrays[_HEADER]))
     if document["format"] not in (1, FORMAT):
         raise InputError(f"has format {document['format']!r}, this version reads formats 1 and {FORMAT}")
-    return structured(_Header, document, "its text:")
+    return from_document(_Header, document, "its text:")
 
 
-def _size_of(remainder: StandingRemainder) -> int:
+def _size_of(remainder: KnownRemainder) -> int:
     """Upper bound of its size [bytes]."""
     return sum(4 * len(mean) * (len(mean) + 5) for mean in remainder.means)
 
 
-def _objection(remainder: StandingRemainder) -> str:
+def _objection(remainder: KnownRemainder) -> str:
     """Reason why a remainder is invalid; empty if it is valid."""
     knots, scales = remainder.basis.knots, remainder.basis.scales
     if not np.all(knots[:, :, 0] <= knots[:, :, 1]):
@@ -180,7 +180,7 @@ def _objection(remainder: StandingRemainder) -> str:
     return ""
 
 
-def _arrays_of(remainder: StandingRemainder) -> dict[str, FloatArray]:
+def _arrays_of(remainder: KnownRemainder) -> dict[str, FloatArray]:
     arrays: dict[str, Any] = {"knots": remainder.basis.knots}
     for place, (scales, mean, triangle) in enumerate(
         zip(remainder.basis.scales, remainder.means, remainder.triangles, strict=True)
@@ -190,7 +190,7 @@ def _arrays_of(remainder: StandingRemainder) -> dict[str, FloatArray]:
     return arrays
 
 
-def _remainder(arrays: _Arrays, header: _Header) -> StandingRemainder | None:
+def _remainder(arrays: _Arrays, header: _Header) -> KnownRemainder | None:
     if header.remainder is None:
         return None
     joints, channels = header.remainder.joints, header.remainder.channels
@@ -200,8 +200,8 @@ def _remainder(arrays: _Arrays, header: _Header) -> StandingRemainder | None:
         rows = _numbers(arrays, f"triangle_{place}", (size * (size + 1) // 2,), np.float32)
         scales.append(_numbers(arrays, f"scales_{place}", (size or columns,)))
         means.append(_numbers(arrays, f"mean_{place}", (size,)))
-        triangles.append(upper_triangle(rows, (size, size)))
-    remainder = StandingRemainder(
+        triangles.append(from_upper_triangle(rows, (size, size)))
+    remainder = KnownRemainder(
         joints=joints,
         channels=channels,
         basis=Basis(knots, tuple(scales)),

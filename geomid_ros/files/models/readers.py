@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-URDF, INTO = "urdf", "mjcf_joints"
+URDF, EXISTING_MJCF = "urdf", "mjcf_joints"
 ELEMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         URDF: ("urdf",),
@@ -19,9 +19,9 @@ ELEMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """Elements of a whole robot's description that each reader supports, by the reader's name; see
 :meth:`~geomid_ros.model.effects.ParameterForm.said_by`. Isaac's armature is in a file next to its URDF. An existing
-MJCF of the user (:data:`INTO`) supports the entries of its bodies and joints."""
+MJCF of the user (:data:`EXISTING_MJCF`) supports the entries of its bodies and joints."""
 
 READERS = tuple(reader for reader in ELEMENTS if reader != "moveit")
 """Readers with different files."""
-DESCRIBED_FOR = tuple(reader for reader in ELEMENTS if reader != INTO)
+DESCRIBED_FOR = tuple(reader for reader in ELEMENTS if reader != EXISTING_MJCF)
 """Readers for which a description of the whole robot is written."""

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.estimate_file import InertiaEntry
-from geomid_ros.files.schema import structured
+from geomid_ros.files.schema import from_document
 from geomid_ros.model.effects import effect_class
 
 Rows: TypeAlias = list[dict[str, Any]]
@@ -64,7 +64,8 @@ def _link(link: Mapping[str, Any], urdf_masses: Mapping[str, float]) -> dict[str
     names = [name.replace(" ", "_") for name in QUANTITIES]
     entries = {"": link, "std_": link["std"]} if "std" in link else {"": link}
     sizes = {
-        prefix: structured(InertiaEntry, entry, f"link {link['name']}:").quantities for prefix, entry in entries.items()
+        prefix: from_document(InertiaEntry, entry, f"link {link['name']}:").quantities
+        for prefix, entry in entries.items()
     }
     return {
         "link": link["name"],

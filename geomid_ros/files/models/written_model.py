@@ -22,17 +22,17 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effects_file import (
     combined,
-    continued,
     effects_entries,
     is_body,
     payload_parameters,
+    updated_effects,
     write_sidecar,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile, inertias_of, link_entry, verdict_entry
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
 from geomid_ros.files.models.urdf import with_effects, with_inertials
-from geomid_ros.files.schema import FORMAT, plain
+from geomid_ros.files.schema import FORMAT, to_document
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class, values_of
 from geomid_ros.model.measurement import MeasurementModel
@@ -109,11 +109,11 @@ def _with_folded(effects: Sequence[KnownEffect], folded: Mapping[tuple[str, str]
             for form in effect_class(effect.effect).parameters
             if (effect.joint, form.urdf) in remaining and form.name in effect.parameters
         }
-        shifted.append(moved(effect, changes))
+        shifted.append(with_shifted_parameters(effect, changes))
     return shifted
 
 
-def moved(effect: KnownEffect, changes: Mapping[str, float]) -> KnownEffect:
+def with_shifted_parameters(effect: KnownEffect, changes: Mapping[str, float]) -> KnownEffect:
     """Change parameters of an effect by these amounts, limited to valid values."""
     forms = {form.name: form for form in effect_class(effect.effect).parameters}
     values = {
@@ -184,7 +184,7 @@ def written_model(
     for c, value in values.values():
         std = stds.get((c.effect.name, c.place_name, c.parameter), math.nan)
         effects.append(KnownEffect(c.effect.name, c.place_name, "", c.parameters(value, std)))
-    return WrittenModel(inertias, tuple(continued(combined([*effects, *composites]), known)))
+    return WrittenModel(inertias, tuple(updated_effects(combined([*effects, *composites]), known)))
 
 
 def _whole(values: _Values, key: tuple[Place, Effect, int], elements: Collection[str]) -> KnownEffect | None:
@@ -204,7 +204,7 @@ def _whole(values: _Values, key: tuple[Place, Effect, int], elements: Collection
 def handover_entry(model: WrittenModel, merged: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """Entry of ``estimate.json`` for the model that a file contains."""
     links = [link_entry(name, merged[name], parameters) for name, parameters in model.inertias.items()]
-    return {"links": links, "effects": plain(model.effects)}
+    return {"links": links, "effects": to_document(model.effects)}
 
 
 def written_for(file: EstimateFile, reader: str) -> WrittenModel | None:

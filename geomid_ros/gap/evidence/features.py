@@ -60,7 +60,7 @@ class Features:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class StandingRemainder:
+class KnownRemainder:
     """Remainder of a model, as Gaussian coefficients of features.
 
     Attributes:

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
-from geomid_ros.gap.evidence.features import Basis, Features, StandingRemainder, features
+from geomid_ros.gap.candidates import Candidate, EffectsFit, EffectTerm
+from geomid_ros.gap.evidence.features import Basis, Features, KnownRemainder, features
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records, TotalModel
-from geomid_ros.inference.design import ChannelRows, Design, Lack
+from geomid_ros.inference.design import ChannelRows, Design, RemainderFit
 from geomid_ros.model.effects import Effect, MotionEffect, Place, SensorEffect, Situation, SituationEffect, joints_of
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.types import BoolArray, FloatArray
@@ -23,7 +23,7 @@ Columns = Mapping[EffectTerm, Mapping[int, FloatArray]]
 _FRICTION_ERROR = 0.7  # of the noise; samples with less certain dry friction are neither fitted nor evaluated
 
 
-def total_model(model: MeasurementModel, found: NamesFit) -> TotalModel:
+def total_model(model: MeasurementModel, found: EffectsFit) -> TotalModel:
     """Return the total model of a joint fit."""
     inertias = np.array([body.parameters for body in model.robot.bodies])
     inertias[list(model.identified)] = found.loaded_inertias
@@ -48,7 +48,7 @@ class LinearisedProblem:
         records: Records,
         total: TotalModel,
         floor: FloatArray | None = None,
-        standing: StandingRemainder | None = None,
+        standing: KnownRemainder | None = None,
     ) -> None:
         self.total = total
         self.standing = standing
@@ -65,7 +65,7 @@ class LinearisedProblem:
         vars(problem).pop("valid", None)
         return problem
 
-    def told_floor(self, left: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def identifiable_floor(self, left: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the noise floor: ``left (C,)`` where rows determine it, the previous one elsewhere; and True where
         they do.
 
@@ -153,27 +153,29 @@ class LinearisedProblem:
         return design_of(self.rows, self.valid, columns, self.features, noise, self.records)
 
     @property
-    def told(self) -> list[Features]:
+    def usable_features(self) -> list[Features]:
         """Features by channel; empty for a channel without rows."""
         nothing = Features(np.zeros((len(self.valid), 0)), np.zeros(0, dtype=np.intp), ())
         pairs = zip(self.features, np.any(self.valid, axis=0), strict=True)
         return [channel if has_rows else nothing for channel, has_rows in pairs]
 
-    def lacks(
+    def fit_remainders(
         self,
         residual: FloatArray,
         features: Sequence[Features],
         noise: Sequence[Autoregression],
         near: Sequence[FloatArray] | None,
-    ) -> tuple[list[FloatArray], list[Lack]]:
+    ) -> tuple[list[FloatArray], list[RemainderFit]]:
         """Return the variances of the most likely remainder of each channel's ``residual (N, C)``, see
-        :meth:`Design.settled`, and this remainder."""
-        variances, lacks, nothing = list[FloatArray](), list[Lack](), np.zeros(0)
+        :meth:`Design.with_fitted_remainder`, and this remainder."""
+        variances, lacks, nothing = list[FloatArray](), list[RemainderFit](), np.zeros(0)
         for channel in range(len(noise)):  # one by one, to save memory
             one = slice(channel, channel + 1)
             rows = Rows(np.zeros((len(residual), 1, 0)), residual[:, one])
             design = design_of(rows, self.valid[:, one], {}, features[one], noise[one], self.records)
-            design = design.settled((), (), nothing, np.zeros(1), near=None if near is None else near[one])
+            design = design.with_fitted_remainder(
+                (), (), nothing, np.zeros(1), near=None if near is None else near[one]
+            )
             variances += design.variances
             lacks += design.remainders((), (), nothing)
         return variances, lacks
@@ -196,7 +198,7 @@ class LinearisedProblem:
             sizes.append(float(np.fmin.reduce(ratios, initial=np.inf)) if ratios else 0.0)
         return np.array(sizes)
 
-    def residual(self, columns: Columns, found: NamesFit) -> FloatArray:
+    def residual(self, columns: Columns, found: EffectsFit) -> FloatArray:
         """Measurement minus prediction ``(N, C)``; for a delayed channel at the true time."""
         rows = self.rows
         residual: FloatArray = rows.targets - rows.coefficients @ found.loaded_inertias.ravel()
@@ -205,11 +207,11 @@ class LinearisedProblem:
                 residual[:, channel] -= found.value(term) * column
         return residual
 
-    def remainder(self, design: Design, found: NamesFit) -> FloatArray:
+    def remainder(self, design: Design, found: EffectsFit) -> FloatArray:
         """Mean of the remainder ``(N, C)``, from the whitened rows of a ``design``."""
         return mean_of(self.features, found.remainders(design))
 
-    def variance(self, columns: Columns, found: NamesFit) -> FloatArray:
+    def variance(self, columns: Columns, found: EffectsFit) -> FloatArray:
         """Variance of the prediction ``(N, C)`` from the uncertainty of the fit."""
         covariance, variance = found.covariance, np.empty_like(self.rows.targets)
         for channel in range(variance.shape[1]):  # one by one, to save memory
@@ -237,7 +239,7 @@ def term_columns(
     return by_term
 
 
-def mean_of(features: Sequence[Features], lacks: Sequence[Lack]) -> FloatArray:
+def mean_of(features: Sequence[Features], lacks: Sequence[RemainderFit]) -> FloatArray:
     """Mean of a model's remainder ``(N, C)``."""
     pairs = zip(features, lacks, strict=True)
     return np.stack([channel.known + channel.columns @ lack.coefficients for channel, lack in pairs], axis=1)

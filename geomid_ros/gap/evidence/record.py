@@ -14,7 +14,7 @@ from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
 from geomid_ros.model.measurement import MeasurementModel, Rows
-from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, STILL, Samples, moves_one_way
+from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples, moves_one_way
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -45,7 +45,7 @@ class Records:
         """Split ``parts`` at pauses and choose rows."""
         dense, chosen = [], []
         for part in parts:
-            for stretch in part.stretches():
+            for stretch in part.segments():
                 if len(stretch) < _FEWEST:
                     continue
                 period = _period(stretch)
@@ -84,7 +84,7 @@ class Records:
     @cached_property
     def moving(self) -> BoolArray:
         """True where a joint moves at a chosen sample ``(N, joints)``."""
-        return np.asarray(np.abs(self.samples.velocity) > STILL)
+        return np.asarray(np.abs(self.samples.velocity) > REST_SPEED)
 
     @cached_property
     def segment(self) -> IntArray:
@@ -122,12 +122,12 @@ class Records:
             **vars(dynamics.sensitivity(self.samples)),
             gravity=total.straight_gravity,
             coefficients={(effect.name, place): values for effect, place, values in total.effects},
-            of_load=self._derivatives_of(loads),
+            from_load_history=self._derivatives_of(loads),
             **joined,
         )
 
     def _derivatives_of(self, loads: Sequence[FloatArray]) -> Callable[[OfLoad], Derivatives]:
-        """:attr:`Situation.of_load` for the stretches' dense ``loads (n, J)``."""
+        """:attr:`Situation.from_load_history` for the stretches' dense ``loads (n, J)``."""
 
         def of_load(function: OfLoad) -> Derivatives:
             parts = []
@@ -162,7 +162,7 @@ class TotalModel:
         """Gravity ``(3,)`` in the base frame [m/s^2]."""
         gravity = self.straight_gravity
         for effect, _, coefficients in self.absorbed:
-            gravity = effect.turned_gravity(gravity, effect.values(coefficients))
+            gravity = effect.tilted_gravity(gravity, effect.values(coefficients))
         return gravity
 
     @property
@@ -176,7 +176,7 @@ class TotalModel:
         absorbed = [
             (effect, place, coefficients)
             for effect, place, coefficients in self.effects
-            if isinstance(effect, SituationEffect) and effect.absorbed and np.any(coefficients)
+            if isinstance(effect, SituationEffect) and effect.compensated_in_samples and np.any(coefficients)
         ]
         return sorted(
             absorbed, key=lambda one: (one[0].scales_measurement, not one[0].turns_gravity, joints_of(one[1]))

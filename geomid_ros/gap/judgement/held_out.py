@@ -7,13 +7,13 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.gap.analysis import Analysis
-from geomid_ros.gap.candidates import NamesFit
+from geomid_ros.gap.candidates import EffectsFit
 from geomid_ros.gap.evidence.features import hats, knots
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.result import GapErrors, Located, Trace
+from geomid_ros.gap.result import GapErrors, ResidualDependence, Trace
 from geomid_ros.inference.fit import unfitted
-from geomid_ros.inference.remainder import USUAL
+from geomid_ros.inference.remainder import DEFAULT_VARIANCE
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -30,9 +30,9 @@ class HeldOut:
         self._records = records
         self._prior = analysis.search.prior
         self._analysis = analysis
-        self._last = self._problem(analysis.names)
+        self._last = self._problem(analysis.effects)
         self._untouched = unfitted(analysis.search.prior)
-        self._residuals: dict[NamesFit, FloatArray] = {}
+        self._residuals: dict[EffectsFit, FloatArray] = {}
 
     @cached_property
     def gap(self) -> GapErrors:
@@ -40,13 +40,13 @@ class HeldOut:
 
         The known remainder of the model may differ now by the default std, which is no gap.
         """
-        names = self._analysis.names
+        names = self._analysis.effects
         variance = self._last.variance(self._last.columns(names.chosen, self._prior.terms), names)
         uncertainty = self._times_floor(np.sqrt(variance))
         fits = (self._untouched, self._analysis.bare, names)
         before, bare, after = (self.times_floor(fit) for fit in fits)
         blocks = (len(rows.depends_on) if rows.mean is not None else 0 for rows in self._analysis.problem.features)
-        return GapErrors(before, bare, after, np.sqrt(1.0 + uncertainty**2 + USUAL * np.array([*blocks])))
+        return GapErrors(before, bare, after, np.sqrt(1.0 + uncertainty**2 + DEFAULT_VARIANCE * np.array([*blocks])))
 
     @cached_property
     def on_all(self) -> GapErrors:
@@ -62,7 +62,7 @@ class HeldOut:
         remainder and without: it may not hold for another motion."""
         # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
         limit = GAP_ABOVE * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) * self.gap.expected
-        without_standing = self._times_floor(self._residual(self._analysis.names) - self._last.expected)
+        without_standing = self._times_floor(self._residual(self._analysis.effects) - self._last.expected)
         after = np.minimum(self.gap.after, without_standing)
         return np.asarray(np.nan_to_num(after) >= np.nan_to_num(limit, nan=np.inf))
 
@@ -76,7 +76,7 @@ class HeldOut:
     def trace(self) -> Trace:
         """Measured values and predictions."""
         samples, measured = self._records.samples, self._records.rows(self._model).targets
-        fits = (self._untouched, self._analysis.bare, self._analysis.names)
+        fits = (self._untouched, self._analysis.bare, self._analysis.effects)
         before, middle, after = (measured - self._residual(fit) for fit in fits)
         return Trace(
             stamps=samples.stamps,
@@ -90,9 +90,9 @@ class HeldOut:
         )
 
     @cached_property
-    def located(self) -> tuple[Located, ...]:
+    def located(self) -> tuple[ResidualDependence, ...]:
         """Variables that explain each channel's remainder."""
-        residual = np.where(self._last.valid, self._residual(self._analysis.names), np.nan)
+        residual = np.where(self._last.valid, self._residual(self._analysis.effects), np.nan)
         return located(self._model, self._records, residual, self.trace.load)
 
     @cached_property
@@ -100,17 +100,17 @@ class HeldOut:
         """Number of independent samples of each channel ``(C,)``."""
         return np.asarray(np.sum(self._last.valid, axis=0, dtype=np.float64))
 
-    def times_floor(self, found: NamesFit) -> FloatArray:
+    def times_floor(self, found: EffectsFit) -> FloatArray:
         """Residual RMS of a fit ``(C,)``, in units of the floor; NaN where nothing is measured."""
         return self._times_floor(self._residual(found))
 
-    def _problem(self, fit: NamesFit) -> LinearisedProblem:
+    def _problem(self, fit: EffectsFit) -> LinearisedProblem:
         total, standing = total_model(self._model, fit), self._analysis.problem.standing
         return LinearisedProblem(self._model, self._records, total, self._analysis.floor, standing)
 
-    def _residual(self, fit: NamesFit) -> FloatArray:
+    def _residual(self, fit: EffectsFit) -> FloatArray:
         if fit not in self._residuals:
-            problem = self._last if fit is self._analysis.names else self._problem(fit)
+            problem = self._last if fit is self._analysis.effects else self._problem(fit)
             self._residuals[fit] = problem.residual(problem.columns(fit.chosen, self._prior.terms), fit)
         return self._residuals[fit]
 
@@ -120,7 +120,9 @@ class HeldOut:
         return np.asarray(np.sqrt(squares / counts) / self._analysis.floor)
 
 
-def located(model: MeasurementModel, records: Records, residual: FloatArray, load: FloatArray) -> tuple[Located, ...]:
+def located(
+    model: MeasurementModel, records: Records, residual: FloatArray, load: FloatArray
+) -> tuple[ResidualDependence, ...]:
     """Locate the ``residual (N, C)`` of each channel; a wrench channel has no joint, only load and time."""
     samples = records.samples
     result = []
@@ -131,11 +133,11 @@ def located(model: MeasurementModel, records: Records, residual: FloatArray, loa
         position = samples.position[:, index] if has_joint else np.zeros(len(values))
         reversals = np.tanh(velocity / max(0.05 * float(np.std(velocity)), 1e-9))
         variables = (velocity, position, load[:, index], samples.seconds, reversals)
-        result.append(Located(channel.name, *(share(values, variable) for variable in variables)))
+        result.append(ResidualDependence(channel.name, *(share(values, variable) for variable in variables)))
     return tuple(result)
 
 
-def strongest(found: Located) -> str:
+def strongest(found: ResidualDependence) -> str:
     """Variable that explains most of a channel's remainder, ``unknown`` if none explains any of it."""
     shares = {name: float(getattr(found, name)) for name in ("velocity", "position", "load", "time", "reversals")}
     best = max(shares, key=lambda name: shares[name])

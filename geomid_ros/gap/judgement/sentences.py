@@ -8,7 +8,7 @@ import numpy as np
 
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.estimation.uncertainty import physical_sensitivity
-from geomid_ros.gap.candidates import Candidate, NamesFit, NamesPrior
+from geomid_ros.gap.candidates import Candidate, EffectsFit, EffectsPrior
 from geomid_ros.gap.result import Confidence
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import GAIN
@@ -22,7 +22,7 @@ _BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of severa
 
 
 def parameters(
-    model: MeasurementModel, found: NamesFit, candidate: Candidate, unsure: float = 0.0, usual_load: float = 0.0
+    model: MeasurementModel, found: EffectsFit, candidate: Candidate, unsure: float = 0.0, usual_load: float = 0.0
 ) -> dict[str, Quantity]:
     """Parameters of a candidate with their standard deviations. ``unsure`` is that of the logarithm of the grid
     constant, ``usual_load`` [N m or N] that of the load that the joint's gear transmits."""
@@ -34,7 +34,7 @@ def parameters(
     return _quantities(model, candidate, values, covariance, unsure, usual_load)
 
 
-def known_before(model: MeasurementModel, prior: NamesPrior, candidate: Candidate, usual_load: float = 0.0) -> Values:
+def known_before(model: MeasurementModel, prior: EffectsPrior, candidate: Candidate, usual_load: float = 0.0) -> Values:
     """Parameters of a candidate in the given model; empty if it had no such effect."""
     if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
         return {}
@@ -43,12 +43,12 @@ def known_before(model: MeasurementModel, prior: NamesPrior, candidate: Candidat
     return {name: quantity.value for name, quantity in quantities_before.items()}
 
 
-def _of_payload(fit: NamesFit, effect: Effect, link: int) -> dict[str, Quantity]:
+def _of_payload(fit: EffectsFit, effect: Effect, link: int) -> dict[str, Quantity]:
     values, covariance = _payload(fit, link)
     return quantities(effect.parameters, zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
 
 
-def _payload(fit: NamesFit, link: int) -> tuple[FloatArray, FloatArray]:
+def _payload(fit: EffectsFit, link: int) -> tuple[FloatArray, FloatArray]:
     """Mass, centre of mass and inertia of a link's payload ``(10,)``, and their covariance ``(10, 10)``, including the
     unknown common gain of the efforts, which scales mass and inertia."""
     place = fit.manifold.links - len(fit.bodies) + fit.bodies.index(link)
@@ -59,7 +59,7 @@ def _payload(fit: NamesFit, link: int) -> tuple[FloatArray, FloatArray]:
     return values, derivative @ fit.inverse[rows, rows] @ derivative.T + np.outer(by_gain, by_gain)
 
 
-def first_moment(found: NamesFit, candidate: Candidate) -> dict[str, Quantity]:
+def first_moment(found: EffectsFit, candidate: Candidate) -> dict[str, Quantity]:
     """Mass times centre of mass of a payload, about the origin of its link; empty for other candidates.
 
     Gravity identifies it even if the mass is not identifiable: where the joints do not move the body up and down, or

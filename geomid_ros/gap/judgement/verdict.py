@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import is_told
+from geomid_ros.estimation.estimate import is_significant
 from geomid_ros.gap.analysis import Analysis
-from geomid_ros.gap.candidates import ODDS, Candidate, NamesFit, NamesPrior
+from geomid_ros.gap.candidates import ODDS, Candidate, EffectsFit, EffectsPrior
 from geomid_ros.gap.judgement import sentences
 from geomid_ros.gap.judgement.held_out import HeldOut, strongest
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange, Ranked, Rival, Unexplained, Verdict, confidence_of
@@ -27,17 +27,17 @@ _MOST_OF_IT = 0.5  # fraction of a channel's squares
 
 def findings(model: MeasurementModel, analysis: Analysis) -> list[tuple[Candidate, Finding]]:
     """Return the named effects, the one that matters most first."""
-    sized = scattered(analysis.search.design, analysis.names)
+    sized = scattered(analysis.search.design, analysis.effects)
     result = [(candidate, _finding(model, analysis, candidate, sized)) for candidate in analysis.supports]
     return sorted(result, key=lambda named: -named[1].loss)
 
 
-def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, sized: NamesFit) -> Finding:
-    search, names, support = analysis.search, analysis.names, analysis.supports[candidate]
+def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, sized: EffectsFit) -> Finding:
+    search, names, support = analysis.search, analysis.effects, analysis.supports[candidate]
     without = search.without(names, candidate)
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
     joint, link = model.places.name(candidate.place), model.places.link(candidate.place)
-    load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
+    load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.grid_value else 0.0
     parameters = sentences.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = sentences.known_before(model, search.prior, candidate, load)
     parameters = beside_remainder(analysis, candidate, parameters, was)
@@ -82,17 +82,17 @@ def probability_by_size(candidate: Candidate, parameters: Mapping[str, Quantity]
 
 
 def _is_told(quantity: Quantity) -> bool:
-    return is_told(quantity.value, quantity.std)
+    return is_significant(quantity.value, quantity.std)
 
 
 def _share(analysis: Analysis, candidate: Candidate) -> float:
     """Fraction of the gap left by the inertias, over the channels that a named effect affects, that it closes in
     addition to the others. The links keep the fit's prior std: otherwise they would be freed to explain it."""
-    search, names = analysis.search, analysis.names
-    reached = search.design.reached(candidate)
+    search, names = analysis.search, analysis.effects
+    reached = search.design.affected_channels(candidate)
 
     def gap(*chosen: Candidate) -> float:
-        squares = fit(search.design, search.prior, chosen, names, names.spreads).squares
+        squares = fit(search.design, search.prior, chosen, names, names.prior_stds).squares
         return float(np.sum((squares / names.squares - 1.0)[reached]))
 
     without = gap(*(c for c in names.chosen if c is not candidate))
@@ -102,16 +102,16 @@ def _share(analysis: Analysis, candidate: Candidate) -> float:
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
     """Standard deviation of the logarithm of a grid constant, from the curvature of the score over its neighbours; 1
     where that is not informative, 0 for an effect without one."""
-    if not candidate.effect.scanned or candidate.known:
+    if not candidate.effect.grid_value or candidate.known:
         return 0.0
-    search, names = analysis.search, analysis.names
-    grid = sorted((c for c in search.hypotheses if c.group == candidate.group), key=lambda c: c.effect.scanned)
+    search, names = analysis.search, analysis.effects
+    grid = sorted((c for c in search.hypotheses if c.group == candidate.group), key=lambda c: c.effect.grid_value)
     place = grid.index(candidate)
     if not 0 < place < len(grid) - 1:
         return 1.0
     neighbours = grid[place - 1 : place + 2]
     rest = [c for c in names.chosen if c is not candidate]
-    logs = np.log([c.effect.scanned for c in neighbours])
+    logs = np.log([c.effect.grid_value for c in neighbours])
     scores = [search.fit([*rest, c], names).score for c in neighbours]
     curvature = 2.0 * float(np.polyfit(logs - logs[1], scores, 2)[0])  # the score is minus twice a log likelihood
     step = 0.5 * float(logs[2] - logs[0])
@@ -121,7 +121,7 @@ def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
 def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Unexplained, ...]:
     """Return the channels whose gap on unseen data stays open, and the variable on which the remainder depends: that
     whose features explain most of it, or else that of a curve of the unseen data."""
-    lacks, result = analysis.names.remainders(analysis.search.design), []
+    lacks, result = analysis.effects.remainders(analysis.search.design), []
     for place in np.flatnonzero(unseen.is_open):
         explained = lacks[place].explained
         known = len(explained) and np.max(explained) > _MOST_OF_IT
@@ -135,7 +135,7 @@ def verdict(analysis: Analysis, unseen: HeldOut, *, named: bool) -> Verdict:
     """Verdict of the whole run, in which something was ``named`` or not: unexplained if features explain most of a gap
     that stays open. Channels that were not evaluated may have a gap."""
     if np.any(unseen.is_open):
-        lacks = analysis.names.remainders(analysis.search.design)
+        lacks = analysis.effects.remainders(analysis.search.design)
         explained = np.array([np.sum(lack.explained) for lack in lacks])
         return "unexplained" if np.any(explained[unseen.is_open] > _MOST_OF_IT) else "incomplete"
     return "named" if named else "incomplete" if np.any(unseen.unjudged) else "no gap"
@@ -168,11 +168,11 @@ def changed_links(model: MeasurementModel, analysis: Analysis) -> tuple[LinkChan
 
 
 def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange]:
-    names, search = analysis.names, analysis.search
+    names, search = analysis.effects, analysis.search
     covariance = scattered(search.design, names).covariance
     nominal, stds = search.prior.inertias.reshape(-1, 10), np.sqrt(np.diag(covariance))
     prior = with_given_spreads(search.prior, names.inflation)
-    free = fit(search.design, prior, names.chosen, names, names.spreads).score
+    free = fit(search.design, prior, names.chosen, names, names.prior_stds).score
     for link, was in enumerate(nominal):
         change = names.inertias[link] - was
         doubt = relative_doubt(search.design, names, link, change)
@@ -188,8 +188,8 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
             centre = _centre(change, covariance[rows, rows])
         if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # no link has more mass than the robot, nor has a payload
             continue
-        spreads = names.spreads.copy()
-        spreads[link] = _HELD * search.prior.spread
+        spreads = names.prior_stds.copy()
+        spreads[link] = _HELD * search.prior.prior_std
         loss = fit(search.design, prior, names.chosen, names, spreads).score - free
         # The link may have changed without its mass.
         odds_against = np.exp(-0.5 * min(loss, float(np.max(deviations**2)), 1e3)) / ODDS
@@ -218,7 +218,7 @@ def _centre(change: FloatArray, covariance: FloatArray) -> dict[str, Quantity]:
     return {axis: Quantity(float(value), float(std), "m") for axis, value, std in zip("xyz", centre, stds, strict=True)}
 
 
-def with_given_spreads(prior: NamesPrior, inflation: float) -> NamesPrior:
+def with_given_spreads(prior: EffectsPrior, inflation: float) -> EffectsPrior:
     """Return a prior for comparing the scores of fits with given prior std: these cost nothing, and other recordings
     keep the trust that the fit found."""
-    return replace(prior, certainty=0.0, known=prior.known and prior.known.trusted(inflation))
+    return replace(prior, certainty=0.0, known=prior.known and prior.known.inflated(inflation))

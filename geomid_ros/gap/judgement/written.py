@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomid_ros.estimation.starting_point import USUAL_SPREAD
+from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap.analysis import Analysis
-from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, NamesPrior
+from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPrior, EffectTerm
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.judgement import sentences
@@ -47,7 +47,7 @@ class Written:
     with its sizes, without those that are less likely than nothing; and, where nothing was known of joints before,
     their ``ordinary`` effects, which need no finding."""
 
-    found: NamesFit
+    found: EffectsFit
     inertias: FloatArray
     findings: tuple[Finding, ...]
     links: tuple[LinkChange, ...]
@@ -103,13 +103,13 @@ class _Refit:
     @property
     def held(self) -> BoolArray:
         """True for links that are as given ``(links,)``: in an identified model all that have not changed."""
-        links = len(self.analysis.names.spreads)
+        links = len(self.analysis.effects.prior_stds)
         return np.isin(np.arange(links), list(self.changed), invert=True) & self.analysis.search.prior.identified
 
-    def found(self, sure: Sequence[Candidate]) -> NamesFit:
+    def found(self, sure: Sequence[Candidate]) -> EffectsFit:
         """Fit the ``sure`` effects and significant ordinary effects, without those out of range, on the rows alone, as
         a file predicts from its parameters alone."""
-        named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.names
+        named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.effects
         total = self._without_uncertain(sure)
         for _ in range(_REFITS):
             problem = LinearisedProblem(self.model, self.records, total, self.analysis.floor)
@@ -125,12 +125,12 @@ class _Refit:
 
     def _without_uncertain(self, sure: Sequence[Candidate]) -> TotalModel:
         """Total model without unsure effects: columns linearised at a delay that does not exist are wrong."""
-        total = total_model(self.model, self.analysis.names)
+        total = total_model(self.model, self.analysis.effects)
         kept = {*self.analysis.search.prior.terms, *(term for candidate in sure for term in candidate.terms)}
         places = {(term.effect, term.place) for term in kept if isinstance(term, EffectTerm)}
         return replace(total, effects=tuple(item for item in total.effects if item[:2] in places))
 
-    def _to_drop(self, joint_fit: NamesFit, ordinary: Collection[Candidate]) -> Candidate | None:
+    def _to_drop(self, joint_fit: EffectsFit, ordinary: Collection[Candidate]) -> Candidate | None:
         """Return an effect out of range, else the least significant ordinary effect if it may be nothing, else None."""
         out_of_range = [c for c in joint_fit.chosen if self.analysis.search.is_out_of_range(joint_fit, c)]
         if out_of_range or not ordinary:
@@ -151,64 +151,64 @@ class _Refit:
         design: Design,
         named: Sequence[Candidate],
         ordinary: Sequence[Candidate],
-        start: NamesFit,
-    ) -> NamesFit:
-        names, spreads = self.analysis.names, self.analysis.search.prior.link_spreads
+        start: EffectsFit,
+    ) -> EffectsFit:
+        names, spreads = self.analysis.effects, self.analysis.search.prior.link_prior_stds
         prior = _with_ordinary(_as_given(self.analysis.search.prior, named), problem, named, ordinary)
         if not self.analysis.search.prior.identified:
             result = scattered(design, fit(design, prior, named, start, spreads))
             return replace(result, chosen=(*named, *ordinary))
         held = self.held
-        tight = np.where(held, _UNCHANGED * prior.spread, names.spreads)
+        tight = np.where(held, _UNCHANGED * prior.prior_std, names.prior_stds)
         result = scattered(design, fit(design, with_given_spreads(prior, names.inflation), named, start, tight))
-        free = fit(design, with_given_spreads(prior, 1.0), named, result, np.where(held, spreads, names.spreads))
+        free = fit(design, with_given_spreads(prior, 1.0), named, result, np.where(held, spreads, names.prior_stds))
         return _as_uncertain(result, free)
 
 
-def _as_uncertain(joint_fit: NamesFit, free: NamesFit) -> NamesFit:
+def _as_uncertain(joint_fit: EffectsFit, free: EffectsFit) -> EffectsFit:
     """Enlarge a fit's standard deviations to those of one whose links are as uncertain as in other recordings."""
     factors = np.sqrt(np.maximum(np.diag(free.inverse) / np.diag(joint_fit.inverse), 1.0))
     return replace(joint_fit, packed=Packed.of(joint_fit.information / np.outer(factors, factors)))
 
 
-def _evidence(joint_fit: NamesFit, candidate: Candidate) -> float:
+def _evidence(joint_fit: EffectsFit, candidate: Candidate) -> float:
     """Second-order loss of score without it: its squared deviation from zero in standard deviations."""
     values = np.array([joint_fit.value(term) for term in candidate.terms])
     return float(values @ np.linalg.solve(joint_fit.covariance_of(candidate.terms), values))
 
 
 def _with_ordinary(
-    prior: NamesPrior, problem: LinearisedProblem, named: Sequence[Candidate], ordinary: Sequence[Candidate]
-) -> NamesPrior:
+    prior: EffectsPrior, problem: LinearisedProblem, named: Sequence[Candidate], ordinary: Sequence[Candidate]
+) -> EffectsPrior:
     """Return a prior in which ordinary effects are a fraction of the measurement, as in ``identify``: a free offset
     would absorb gravity."""
     named_terms = {term for candidate in named for term in candidate.terms}
     terms = tuple(term for candidate in ordinary for term in candidate.terms if term not in named_terms)
     sizes = problem.usual_sizes(terms)
-    spreads = USUAL_SPREAD * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # any, if zero
+    spreads = DEFAULT_PRIOR_STD * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # any, if zero
     return replace(
         prior,
         terms=(*prior.terms, *terms),
         values=np.append(prior.values, np.zeros(len(terms))),
-        spreads=np.append(prior.spreads, spreads),
+        prior_stds=np.append(prior.prior_stds, spreads),
     )
 
 
-def _known(model: MeasurementModel, joint_fit: NamesFit, candidate: Candidate) -> KnownEffect:
+def _known(model: MeasurementModel, joint_fit: EffectsFit, candidate: Candidate) -> KnownEffect:
     """Effect in the form of files."""
     parameters = sentences.parameters(model, joint_fit, candidate)
     return KnownEffect(candidate.name, model.places.name(candidate.place), "", parameters)
 
 
-def _as_given(prior: NamesPrior, sure: Sequence[Candidate]) -> NamesPrior:
+def _as_given(prior: EffectsPrior, sure: Sequence[Candidate]) -> EffectsPrior:
     """Return a prior in which only effects with a ``sure`` finding may change."""
     named = {term for candidate in sure for term in candidate.terms}
     factors = np.array([1.0 if term in named else _UNCHANGED for term in prior.terms])
-    return replace(prior, spreads=factors * prior.spreads)
+    return replace(prior, prior_stds=factors * prior.prior_stds)
 
 
 def _findings_as_written(
-    model: MeasurementModel, analysis: Analysis, joint_fit: NamesFit, findings: Sequence[tuple[Candidate, Finding]]
+    model: MeasurementModel, analysis: Analysis, joint_fit: EffectsFit, findings: Sequence[tuple[Candidate, Finding]]
 ) -> Iterator[Finding]:
     """Yield the findings with the written sizes. A sure effect that is impossible without the unsure ones is no surer
     than the likeliest of these. None is sure if its written size may be nothing."""
@@ -217,7 +217,7 @@ def _findings_as_written(
         if finding.confidence != "confident":
             yield finding
         elif candidate in joint_fit.chosen:
-            load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
+            load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.grid_value else 0.0
             parameters = sentences.parameters(model, joint_fit, candidate, usual_load=load)
             widened = beside_remainder(analysis, candidate, parameters, finding.was)
             sized = {**finding.parameters, **candidate.effect.sizes(widened)}
@@ -236,7 +236,7 @@ def _with_sentence(finding: Finding) -> Finding:
     return replace(finding, sentence=text)
 
 
-def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, joint_fit: NamesFit) -> LinkChange:
+def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, joint_fit: EffectsFit) -> LinkChange:
     """Return a changed link with the fitted size, and no surer than this size; an unsure link keeps its size."""
     if link.confidence != "confident":
         return link
@@ -260,7 +260,7 @@ def _moved(quantity: Quantity, value: float) -> Quantity:
     return replace(quantity, value=value, std=max(quantity.std, abs(value - quantity.value)))
 
 
-def folded(problem: LinearisedProblem, found: NamesFit) -> dict[tuple[str, str], float]:
+def folded(problem: LinearisedProblem, found: EffectsFit) -> dict[tuple[str, str], float]:
     """Return the changes of joint attributes, as ``dynamics/damping``, in a file that represents no other friction.
 
     Linear friction that was found together with quadratic friction is wrong without it. So the file has the
@@ -278,7 +278,11 @@ def folded(problem: LinearisedProblem, found: NamesFit) -> dict[tuple[str, str],
 
 
 def _changes(
-    problem: LinearisedProblem, fitted: NamesFit, joint: int, stored: Sequence[EffectTerm], others: Sequence[EffectTerm]
+    problem: LinearisedProblem,
+    fitted: EffectsFit,
+    joint: int,
+    stored: Sequence[EffectTerm],
+    others: Sequence[EffectTerm],
 ) -> list[float]:
     from scipy.optimize import nnls  # noqa: PLC0415 seldom needed
 

@@ -77,7 +77,7 @@ def register(effect: type[Effect]) -> type[Effect]:
     Raises:
         TypeError: if another effect has its name, or its declaration is inconsistent.
     """
-    if effect.adds_up and effect.variants()[0].scanned:
+    if effect.adds_up and effect.grid()[0].grid_value:
         raise TypeError(f"{effect} has a constant to choose: two at one place do not add up, adds_up must be False")
     other = EFFECTS.setdefault(effect.name, effect)
     if other is not effect:

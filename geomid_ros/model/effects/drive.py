@@ -28,7 +28,7 @@ class RotorInertia(JointEffect):
             "inertia", ("kg m^2", "kg"), above=0.0, mjcf="joint/armature", drake="actuator/drake:rotor_inertia"
         ),
     )
-    like_a_payload = True
+    confusable_with_payload = True
     before_gear = True
     settled_by = "fast accelerations of this joint alone, with the distal links stretched out and folded"
 
@@ -54,7 +54,7 @@ class Spring(JointEffect):
     settled_by = "slow sweeps of this joint over its range, in several postures of the others"
     adds_up = False
     contains = "effort_offset"
-    like_a_payload = True
+    confusable_with_payload = True
 
     @property
     def positives(self) -> int:
@@ -69,7 +69,7 @@ class Spring(JointEffect):
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.position
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
+    def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if the equilibrium is more than two turns away."""
         return bool(abs(coefficients[1]) > _LARGEST_TURN * coefficients[0])
 
@@ -110,7 +110,7 @@ class JointElasticity(SituationEffect):
     parameters = (ParameterForm("stiffness", ("N m/rad", "N/m"), above=0.0, mjcf="elasticity/stiffness"),)
     settled_by = "faster motion, or an encoder on the link side"
     adds_up = False
-    like_a_payload = True
+    confusable_with_payload = True
     largest = 1.0  # [rad/(N m)]
 
     @property
@@ -121,7 +121,7 @@ class JointElasticity(SituationEffect):
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
         loads = (situation.load, situation.load_rate, situation.load_acceleration)
-        return situation.behind(joint, *(load[:, joint] for load in loads))
+        return situation.lag_column(joint, *(load[:, joint] for load in loads))
 
     def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the stiffness and its derivative by the compliance."""
@@ -163,12 +163,12 @@ class Backlash(SituationEffect):
     adds_up = False
 
     @classmethod
-    def variants(cls) -> tuple[Effect, ...]:
+    def grid(cls) -> tuple[Effect, ...]:
         """Return one for each of :data:`CROSSINGS`."""
         return tuple(cls(crossing) for crossing in range(len(CROSSINGS)))
 
     @property
-    def scanned(self) -> float:
+    def grid_value(self) -> float:
         """Time of a crossing [s]."""
         return CROSSINGS[self.crossing]
 
@@ -179,13 +179,15 @@ class Backlash(SituationEffect):
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
-        position, rate, acceleration = (values[:, joint, self.crossing] for values in situation.of_load(sides))
-        return 0.5 * situation.behind(joint, position, rate, acceleration)
+        position, rate, acceleration = (
+            values[:, joint, self.crossing] for values in situation.from_load_history(sides)
+        )
+        return 0.5 * situation.lag_column(joint, position, rate, acceleration)
 
     def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:
         """Return the drag against which the typical load crosses the gap in the chosen time."""
         ((gap, std),) = found
-        drag = usual_load * self.scanned / gap
+        drag = usual_load * self.grid_value / gap
         return [(drag, drag * float(np.hypot(unsure, std / gap)))]
 
     @classmethod
@@ -238,14 +240,14 @@ class _CoupledMotor(PairEffect):
     settled_by: ClassVar[str] = "motion of each joint alone, and of both together"
 
     @classmethod
-    def variants(cls) -> tuple[Effect, ...]:
+    def grid(cls) -> tuple[Effect, ...]:
         """Return both directions."""
         return cls(1.0), cls(-1.0)
 
     @classmethod
-    def trials(cls) -> tuple[Effect, ...]:
+    def coarse_grid(cls) -> tuple[Effect, ...]:
         """Return both directions."""
-        return cls.variants()
+        return cls.grid()
 
     @abstractmethod
     def of_motor(self, motor: JointMotion) -> FloatArray:

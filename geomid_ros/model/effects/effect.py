@@ -69,9 +69,9 @@ class Effect(ABC):
     # Relations to other effects.
     contains: ClassVar[str] = ""
     """Effect that is a special case of it; the simpler one is preferred unless the data require the richer one."""
-    like_a_payload: ClassVar[bool] = False
+    confusable_with_payload: ClassVar[bool] = False
     """True if a payload may be identified instead of it, because their columns are similar."""
-    far: ClassVar[tuple[float, ...]] = ()
+    relinearise_beyond: ClassVar[tuple[float, ...]] = ()
     """Changes of its coefficients beyond which all effects' columns must be recomputed; empty if never."""
     before_gear: ClassVar[bool] = False
     """True if it acts on the motor side of the gear only, so a sensor on the link side does not measure it."""
@@ -89,22 +89,22 @@ class Effect(ABC):
     count: ClassVar[int] = 1
     """Number of coefficients of its columns, without those of its other :attr:`parts`."""
     constant: ClassVar[str] = ""
-    """Parameter that enters nonlinearly: the field of the instances in which the :meth:`variants` differ."""
-    usual_constant: ClassVar[str] = ""
+    """Parameter that enters nonlinearly: the field of the instances in which the :meth:`grid` differ."""
+    default_constant: ClassVar[str] = ""
     """Another such field and parameter, which files leave out if it has the class's default."""
-    absorbed: ClassVar[bool] = False
+    compensated_in_samples: ClassVar[bool] = False
     """True if its estimate is built into the model (gravity, time, scale); its column is then for the change only."""
     largest: ClassVar[float] = np.inf
     """Largest plausible absolute coefficient of a robot that works."""
     of_sensor: ClassVar[bool] = False
     """True if it is a measurement error without effect on the motion, so robot files need not contain it."""
-    expected_share: ClassVar[float | None] = None
+    prior_std_fraction: ClassVar[float | None] = None
     """Prior standard deviation about zero, as a fraction of its channel's measurements; None if its prior comes from a
     first fit."""
-    usual: ClassVar[tuple[float, ...]] = ()
+    default_prior_std: ClassVar[tuple[float, ...]] = ()
     """Default prior standard deviations of its coefficients, the same for any robot; empty if they scale with the
     measurements."""
-    remembers: ClassVar[bool] = False
+    depends_on_past: ClassVar[bool] = False
     """True if it depends on the past motion too, as friction at rest does."""
     scales_measurement: ClassVar[bool] = False
     """True if it acts on the measurement, after all other effects."""
@@ -113,22 +113,22 @@ class Effect(ABC):
     motion does not show it."""
 
     @classmethod
-    def variants(cls) -> tuple[Effect, ...]:
+    def grid(cls) -> tuple[Effect, ...]:
         """Return the instances to choose from if its constants are unknown, in the order of its constant."""
         return (cls(),)
 
     @classmethod
     def is_one_number(cls) -> bool:
         """True if one coefficient describes it completely, given default constants."""
-        return len(cls.parameters) == (2 if cls.usual_constant else 1)
+        return len(cls.parameters) == (2 if cls.default_constant else 1)
 
     @classmethod
-    def trials(cls) -> tuple[Effect, ...]:
+    def coarse_grid(cls) -> tuple[Effect, ...]:
         """Return the few instances that an identification tries in addition to the default effects."""
         return (cls(),)
 
     @property
-    def scanned(self) -> float:
+    def grid_value(self) -> float:
         """Value of the constant in which variants differ, above zero; 0 if there is nothing to choose."""
         return float(getattr(self, self.constant)) if self.constant else 0.0
 
@@ -170,11 +170,11 @@ class Effect(ABC):
         squared = size.std**2 - (cls.drift * size.value) ** 2
         return float(np.sqrt(squared)) if squared >= 0.0 else size.std
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
+    def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if the ``coefficients (k,)`` are out of range for a robot that works, whatever their signs."""
         return bool(np.any(np.abs(coefficients) > self.largest))
 
-    def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:  # noqa: ARG002
+    def is_supported(self, beside: Mapping[Effect, float]) -> bool:  # noqa: ARG002
         """True if all effects at its place, given with coefficients, together show the behaviour it stands for."""
         return True
 
@@ -220,8 +220,8 @@ class Effect(ABC):
 
     def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:  # noqa: ARG002
         """Return values and stds of the parameters that are constants, given those of the first parameters."""
-        constants = [(self.scanned, unsure * self.scanned)] if self.constant else []
-        name = self.usual_constant
+        constants = [(self.grid_value, unsure * self.grid_value)] if self.constant else []
+        name = self.default_constant
         if name and getattr(self, name) != getattr(type(self), name):
             constants.append((float(getattr(self, name)), 0.0))
         return constants
@@ -230,8 +230,8 @@ class Effect(ABC):
     def from_values(cls, values: Values, usual_load: float = 0.0) -> Self:  # noqa: ARG003
         """Return the instance with the constants in ``values``."""
         given = {cls.constant: values[cls.constant]} if cls.constant else {}
-        if values.get(cls.usual_constant):
-            given[cls.usual_constant] = values[cls.usual_constant]
+        if values.get(cls.default_constant):
+            given[cls.default_constant] = values[cls.default_constant]
         return cls(**given)
 
     @classmethod
@@ -261,7 +261,7 @@ class Effect(ABC):
         """Combine the parameters of two at one place into one; ``second`` was found in addition to ``first``."""
         if not cls.adds_up:
             return second
-        added = second.keys() & first.keys() - {cls.usual_constant}
+        added = second.keys() & first.keys() - {cls.default_constant}
         return {**first, **{name: first[name].plus(q) if name in added else q for name, q in second.items()}}
 
     # Action on the world and on sensors; the defaults do nothing.
@@ -270,7 +270,7 @@ class Effect(ABC):
     """True if samples are corrected for it where it is known, by the hooks below."""
 
     @classmethod
-    def turned_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:  # noqa: ARG003
+    def tilted_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:  # noqa: ARG003
         """Return gravity ``(3,)`` in the base frame, given that of a level base."""
         return gravity
 
@@ -311,7 +311,7 @@ class Effect(ABC):
         """Return the friction that holds a joint at rest, in addition to that in the MJCF [N m or N]."""
         return 0.0
 
-    def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:  # noqa: ARG002
+    def efforts_not_in_mjcf(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:  # noqa: ARG002
         """Return efforts ``(..., J)`` of a moving robot that the MJCF does not contain."""
         return 0.0
 
@@ -337,7 +337,7 @@ class MotionEffect(Effect):
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
         """Return efforts ``(..., J)`` per unit of the coefficient, each instant independently."""
 
-    def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:
+    def efforts_not_in_mjcf(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:
         """Return all of its efforts, unless the MJCF contains the effect."""
         if any(form.mjcf for form in self.parameters):
             return 0.0

@@ -61,21 +61,21 @@ class CoulombFriction(JointEffect):
         SMOOTHING,
     )
     said_first = 1
-    usual_constant = SMOOTHING.name
+    default_constant = SMOOTHING.name
     settled_by = "slow motion of this joint, back and forth at several constant speeds"
     drift = FRICTION_DRIFT
     is_dry_friction = True
     levels_off = True
 
     @classmethod
-    def variants(cls) -> tuple[Effect, ...]:
+    def grid(cls) -> tuple[Effect, ...]:
         """Return one for each of :data:`SMOOTHINGS`."""
         return tuple(cls(smoothing) for smoothing in SMOOTHINGS)
 
     @classmethod
-    def trials(cls) -> tuple[Effect, ...]:
+    def coarse_grid(cls) -> tuple[Effect, ...]:
         """Return all variants, because the shape of dry friction is not known beforehand."""
-        return cls.variants()
+        return cls.grid()
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.tanh(motion.velocity / self.smoothing)
@@ -123,7 +123,7 @@ class StribeckFriction(JointEffect):
         SMOOTHING,
     )
     said_first = 3
-    usual_constant = SMOOTHING.name
+    default_constant = SMOOTHING.name
     settled_by = "this joint at several constant speeds, from creeping to fast"
     drift = FRICTION_DRIFT
     constant = "speed"
@@ -133,12 +133,12 @@ class StribeckFriction(JointEffect):
     levels_off = True
 
     @classmethod
-    def variants(cls) -> tuple[Effect, ...]:
+    def grid(cls) -> tuple[Effect, ...]:
         """Return one for each of :data:`SPEEDS`, with the sharpest sign."""
         return tuple(cls(speed, SMOOTHINGS[0]) for speed in SPEEDS)
 
     @classmethod
-    def trials(cls) -> tuple[Effect, ...]:
+    def coarse_grid(cls) -> tuple[Effect, ...]:
         """Return a few speeds, with the default smooth sign of :class:`CoulombFriction`."""
         return tuple(cls(speed) for speed in _TRIED)
 
@@ -157,11 +157,11 @@ class StribeckFriction(JointEffect):
         """1, the excess. (Dry friction that sets in gradually is :class:`SaturatingFriction`.)"""
         return 1
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
+    def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if the excess is many times the level."""
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
 
-    def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:
+    def is_supported(self, beside: Mapping[Effect, float]) -> bool:
         """True if dry friction falls with speed by more than half of the excess. Otherwise the excess only reshapes
         friction near rest, or compensates another friction."""
         friction = dry_friction(beside)
@@ -193,7 +193,7 @@ class StribeckFriction(JointEffect):
         """Return the excess; 0 if it is negative, as in older files."""
         return max(values["excess"], 0.0)
 
-    def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray:
+    def efforts_not_in_mjcf(self, values: Values, motion: Motion, place: Place) -> FloatArray:
         """Return the (negative) change of :meth:`holding_friction` due to motion."""
         full = self.holding_friction(values) * CoulombFriction(self.smoothing).efforts(motion, place)
         return full * np.expm1(-((motion.velocity / self.speed) ** 2))
@@ -253,13 +253,13 @@ class SaturatingFriction(JointEffect):
     levels_off = True
 
     @classmethod
-    def variants(cls) -> tuple[Effect, ...]:
+    def grid(cls) -> tuple[Effect, ...]:
         """Return the speeds of :data:`SETTING_IN` at which it is neither nearly dry nor nearly viscous friction. A
         change of these should be reported under the simpler name."""
         return tuple(cls(speed) for speed in SETTING_IN[2:])
 
     @classmethod
-    def trials(cls) -> tuple[Effect, ...]:
+    def coarse_grid(cls) -> tuple[Effect, ...]:
         return tuple(cls(speed) for speed in SETTING_IN)
 
     def column(self, motion: JointMotion) -> FloatArray:
@@ -307,19 +307,19 @@ class Presliding(JointEffect):
     drift = FRICTION_DRIFT
     constant = "distance"
     adds_up = False
-    remembers = True
+    depends_on_past = True
 
     @classmethod
-    def variants(cls) -> tuple[Effect, ...]:
+    def grid(cls) -> tuple[Effect, ...]:
         """Return one for each of :data:`DISTANCES`."""
         return tuple(cls(distance) for distance in DISTANCES)
 
     @classmethod
-    def trials(cls) -> tuple[Effect, ...]:
+    def coarse_grid(cls) -> tuple[Effect, ...]:
         """Return all variants."""
-        return cls.variants()
+        return cls.grid()
 
-    def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:
+    def is_supported(self, beside: Mapping[Effect, float]) -> bool:
         """True if the joint's dry friction is at least as large, up to drift, as the part that keeps its sign."""
         return bool(beside[self] <= (1.0 + self.drift) * np.max(dry_friction(beside)))
 

@@ -29,11 +29,11 @@ class GravityTilt(SituationEffect):
     place = "robot"
     count = 2
     largest = 0.5  # [rad] a base tilted further is mounted so on purpose
-    like_a_payload = True
-    far = (0.03, 0.03)
+    confusable_with_payload = True
+    relinearise_beyond = (0.03, 0.03)
     turns_gravity = True
-    absorbed = True
-    usual = (0.1, 0.1)  # [rad]
+    compensated_in_samples = True
+    default_prior_std = (0.1, 0.1)  # [rad]
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         tilt = situation.coefficients.get((self.name, place), np.zeros(2))
@@ -42,7 +42,7 @@ class GravityTilt(SituationEffect):
         return np.asarray(situation.by_gravity @ slopes.T)
 
     @classmethod
-    def turned_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:
+    def tilted_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:
         """Return ``R^T g``."""
         return _turned(gravity, np.array([values[name] for name in _NAMES]))
 
@@ -77,7 +77,7 @@ class CarriedBody(Effect):
     said_first = 4
     settled_by = "the same motion with and without the payload, or a wrench sensor that carries the link"
     place = "link"
-    like_a_payload = True
+    confusable_with_payload = True
     adds_up = False
 
     @property

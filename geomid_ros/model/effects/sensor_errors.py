@@ -19,10 +19,10 @@ class EffortOffset(JointEffect):
     label = "an offset of the measured effort"
     meaning = "measured effort = true + offset; with a gain, gain (true + offset)"
     parameters = (ParameterForm("offset", EFFORT),)
-    like_a_payload = True
+    confusable_with_payload = True
     of_sensor = True
     # If a joint moves little, gravity looks like an offset: with a wider prior an offset could absorb a mass.
-    expected_share = 0.05
+    prior_std_fraction = 0.05
     settled_by = "a recording in which gravity loads the joint in both directions"
 
     def column(self, motion: JointMotion) -> FloatArray:
@@ -33,7 +33,7 @@ class EffortOffset(JointEffect):
         """Return the offset."""
         return values["offset"]
 
-    def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> float:  # noqa: ARG002
+    def efforts_not_in_mjcf(self, values: Values, motion: Motion, place: Place) -> float:  # noqa: ARG002
         """Return 0, because it is a sensor error, not an effort."""
         return 0.0
 
@@ -50,13 +50,13 @@ class EffortGain(SituationEffect):
     parameters = (ParameterForm("gain", ("-", "-"), above=0.0),)
     settled_by = "the same motion with a known payload"
     adds_up = False
-    like_a_payload = True
-    absorbed = True
-    usual = (0.1,)
+    confusable_with_payload = True
+    compensated_in_samples = True
+    default_prior_std = (0.1,)
     scales_measurement = True
     corrected_in_samples = True
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
+    def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if no model may be built at these coefficients."""
         return bool(np.any(coefficients != self.linearised_at(coefficients)))
 
@@ -100,8 +100,8 @@ class EffortDelay(SituationEffect):
     parameters = (ParameterForm("delay", ("s", "s"), above=-1.0, below=1.0),)
     settled_by = "faster motions"
     place = "robot"
-    far = (2e-3,)
-    absorbed = True
+    relinearise_beyond = (2e-3,)
+    compensated_in_samples = True
     largest = 0.2  # [s]
     corrected_in_samples = True
 
@@ -126,7 +126,7 @@ class WrenchOffset(SensorEffect):
         *(ParameterForm(name, ("N m", "N m"), optional=True) for name in ("tx", "ty", "tz")),
     )
     settled_by = "static poses with the sensor in many orientations"
-    like_a_payload = True
+    confusable_with_payload = True
     corrected_in_samples = True
 
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:

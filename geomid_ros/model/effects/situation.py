@@ -154,7 +154,7 @@ class Situation(Sensitivity):
         transmitted: gear loads ``(N, J)``: the same efforts plus friction and springs on the link side of the gears.
         gravity: gravity in the frame of a level base ``(3,)`` [m/s^2].
         coefficients: coefficients of the model's effects, by the effect's name and place.
-        of_load: applies a function to the load's history, and returns its values for the N samples.
+        from_load_history: applies a function to the load's history, and returns its values for the N samples.
     """
 
     sign: FloatArray
@@ -165,7 +165,7 @@ class Situation(Sensitivity):
     transmitted: FloatArray
     gravity: FloatArray
     coefficients: Mapping[tuple[str, Place], FloatArray]
-    of_load: Callable[[OfLoad], Derivatives]
+    from_load_history: Callable[[OfLoad], Derivatives]
 
     def column_of(self, joints: int | slice, efforts: FloatArray) -> FloatArray:
         """Return a column ``(N, C, 1)`` with ``efforts`` at these joints and zero elsewhere."""
@@ -173,7 +173,7 @@ class Situation(Sensitivity):
         column[:, joints, 0] = efforts
         return column
 
-    def behind(self, joint: int, moved: FloatArray, rate: FloatArray, acceleration: FloatArray) -> FloatArray:
+    def lag_column(self, joint: int, moved: FloatArray, rate: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Return the column ``(N, C, 1)`` of a link that lags its joint's measured position by ``moved (N,)``, with
         the time derivatives ``rate`` and ``acceleration`` of that lag."""
         return -(

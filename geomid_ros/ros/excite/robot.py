@@ -82,7 +82,7 @@ class Recorder:
             self.problem = f"{self.path}: cannot be written ({error.strerror or error})"
 
 
-class HeardRobot:
+class RobotMonitor:
     """Subscribes to joint states and the description, and records messages on request."""
 
     def __init__(self, node: Node, joints: tuple[str, ...], topic: str, interrupted: Callable[[], bool]) -> None:
@@ -112,7 +112,7 @@ class HeardRobot:
         self.topic: str = self._states.topic_name
         """Full name of the joint states' topic."""
 
-    def look(self) -> list[JointState]:
+    def poll(self) -> list[JointState]:
         """Return the joint states since the last call, or within a moment."""
         self._executor.spin_once(timeout_sec=_LOOK)
         for _ in range(MOST_AT_ONCE):
@@ -130,14 +130,14 @@ class HeardRobot:
         while (result := find()) is None and time.monotonic() < end:
             if self._interrupted():
                 raise GeomidError("interrupted; nothing has moved")
-            self.look()
+            self.poll()
         return result
 
     def period(self, seconds: float) -> float:
         """Mean time between joint states [s], measured for some ``seconds``."""
         begin, count = time.monotonic(), 0
         while time.monotonic() - begin < seconds:
-            count += len(self.look())
+            count += len(self.poll())
         return (time.monotonic() - begin) / max(count, 1)
 
     @contextmanager

@@ -13,12 +13,12 @@ import numpy as np
 from rclpy.node import Node
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.excitation.approach import Passage, stopping_accelerations, way_by, way_to_rest
+from geomid_ros.excitation.approach import ApproachPath, stopping_accelerations, stopping_trajectory, trajectory_through
 from geomid_ros.excitation.motion import Trajectory
-from geomid_ros.excitation.watch import JointState, RobotLimits, Watch, check_motion
+from geomid_ros.excitation.watch import JointState, MotionMonitor, RobotLimits, check_motion
 from geomid_ros.model.robot import Robot
 from geomid_ros.ros.excite.controller import Controller, find_controller
-from geomid_ros.ros.excite.robot import HeardRobot, Recorder
+from geomid_ros.ros.excite.robot import Recorder, RobotMonitor
 from geomid_ros.ros.starting import PATIENCE, running_node
 from geomid_ros.session.collision_scene import NOT_LOOKED, collision_model, not_watched, without_touching
 from geomid_ros.session.options import RunOptions
@@ -92,7 +92,7 @@ class MotionRun:
         self._node = node
         self._order = order
         self._interrupted = interrupted
-        self._robot = HeardRobot(node, order.motion.joints, order.options.joint_topic, interrupted)
+        self._robot = RobotMonitor(node, order.motion.joints, order.options.joint_topic, interrupted)
         self._urdf, source = order.urdf or self._description()
         robot = Robot(self._urdf, source=source)
         self._limits = RobotLimits.of(robot, order.motion.joints, order.source)
@@ -124,7 +124,9 @@ class MotionRun:
         motion = self._order.slowed
         silence = self._order.options.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
         postures, notes = self._postures(robot, state.position)
-        return Plan(way_by(motion.joints, postures, self._limits.speeds), motion, self._limits, silence, notes)
+        return Plan(
+            trajectory_through(motion.joints, postures, self._limits.speeds), motion, self._limits, silence, notes
+        )
 
     def _postures(self, robot: Robot, present: FloatArray) -> tuple[list[FloatArray], tuple[str, ...]]:
         """Return the postures of the approach from the ``present`` one to the start, and sentences on the checks.
@@ -135,7 +137,7 @@ class MotionRun:
         start = motion.positions[0]
         collision = collision_model(options, robot, Path(robot.source))
         received = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
-        passage = Passage(robot, motion.joints, np.nan_to_num(received), collision)
+        passage = ApproachPath(robot, motion.joints, np.nan_to_num(received), collision)
         unwatched = without_touching(collision, passage.whole(start[None])[0]) if collision else ()
         for label, position in (("at the present pose", present), ("at the start of the motion", start)):
             if touching := passage.overlap(position):
@@ -155,7 +157,7 @@ class MotionRun:
         Raises:
             GeomidError: the motion was stopped, for the reason stated. The bag is complete.
         """
-        controller = find_controller(self._node, self._order.options.controller, self._robot.look)
+        controller = find_controller(self._node, self._order.options.controller, self._robot.poll)
         with self._robot.recorded(bag, self._urdf) as recorder:
             for name, motion in (("to the start", self.plan.way), ("the motion", self.plan.motion)):
                 say(f"{name}: {motion.duration:.1f} s")
@@ -169,9 +171,9 @@ class MotionRun:
         """Let the robot follow a motion, and monitor it. Raises GeomidError if it had to be stopped."""
         if self._interrupted():
             raise GeomidError(f"interrupted before {'the motion' if motion is self.plan.motion else 'anything moved'}")
-        self._robot.look()
+        self._robot.poll()
         begin = self._robot.state.stamp if self._robot.state is not None else 0
-        watch = Watch(
+        watch = MotionMonitor(
             motion, self._limits, tolerance=self._order.options.tolerance, silence=self.plan.silence, begin=begin
         )
         controller.send(motion)
@@ -187,28 +189,28 @@ class MotionRun:
             ending = self._ending(way.duration + _SETTLING)
             raise GeomidError(f"the motion was stopped: {problem}. {ending}. Recorded until then: {recorder.path}")
 
-    def _watched(self, watch: Watch, duration: float, controller: Controller, recorder: Recorder) -> str:
+    def _watched(self, watch: MotionMonitor, duration: float, controller: Controller, recorder: Recorder) -> str:
         """Return the reason to stop the robot; empty once the motion is over."""
         before = time.monotonic()
         while watch.elapsed < duration:
-            states = self._robot.look()
+            states = self._robot.poll()
             now = time.monotonic()
-            deviation = watch.look(states, now - before)
+            deviation = watch.check(states, now - before)
             before = now
             interruption = "interrupted" if self._interrupted() else ""
             if problem := interruption or controller.problem or deviation or recorder.problem:
                 return problem
         return ""
 
-    def _to_rest(self, watch: Watch) -> Trajectory:
-        return way_to_rest(self._order.motion.joints, *watch.whereabouts, self._stopping)
+    def _to_rest(self, watch: MotionMonitor) -> Trajectory:
+        return stopping_trajectory(self._order.motion.joints, *watch.present_state, self._stopping)
 
     def _ending(self, seconds: float) -> str:
         """Return a sentence on whether the robot is at rest after some seconds."""
         states: list[JointState] = []
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            states += self._robot.look()
+            states += self._robot.poll()
         recent = [state.position for state in states if state.stamp > states[-1].stamp - 1e9 * _LATELY]
         if len(recent) < 2:
             return "It is not known whether the robot is at rest, as no joint states arrive: check it"

@@ -171,7 +171,7 @@ def play_name(joint: str) -> str:
     return joint + "/play"
 
 
-def wound(parameters: Mapping[str, float], effort: float) -> float:
+def wind_up(parameters: Mapping[str, float], effort: float) -> float:
     """Angle [rad] by which a motor that holds ``effort`` [N m] leads its link, through elasticity or backlash."""
     return effort / parameters["stiffness"] + math.copysign(0.5 * parameters.get("gap", 0.0), effort)
 
@@ -234,7 +234,7 @@ MEASURED = by_name(_effort_delay, _effort_offset, _effort_gain, _drift, _wrench_
 """Sensor errors of efforts and wrench, applied in this order: a delayed signal is offset, then scaled."""
 
 
-def sensed(trace: RunTrace, joints: Sequence[str], effects: Iterable[TrueEffect]) -> RunTrace:
+def noiseless_measurement(trace: RunTrace, joints: Sequence[str], effects: Iterable[TrueEffect]) -> RunTrace:
     """Readings of sensors without noise for a true ``trace`` of ``joints``."""
     order = list(MEASURED)
     for effect in sorted((e for e in effects if e.name in MEASURED), key=lambda effect: order.index(effect.name)):
