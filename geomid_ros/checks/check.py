@@ -116,7 +116,7 @@ class RecordingCheck:
         self._stretch, self._standing = RecentMotion(), RecentMotion()
         self._judged_at = 0.0
         self.remarks: tuple[str, ...] = ()
-        """What to know of a recording that may be right, once it has been judged."""
+        """Remarks on a recording that may be right, once it has been checked."""
 
     def add(self, samples: Samples) -> None:
         """Add samples, in the order of time of each recording."""

@@ -67,17 +67,17 @@ class FlexibleFit:
         self.spread = np.std(measured, axis=0)
         self._moving = moving(velocity).astype(np.float64)
         self.instants = float(np.mean(np.maximum(np.sum(self._moving, axis=0), 1.0)))
-        """How many instants there are, on average over channels."""
+        """Mean number of samples per channel."""
         self._own = np.concatenate([_curves(position, friction, predicted), friction], axis=2)
         self._tolerated = np.ones(self._own.shape[1:])
         self._tolerated[:, -tolerated.shape[1] :] = tolerated
         self._unknowns = links.with_separate(self._own)
         self.nominal = self._evidence(self._unknowns)
-        """The evidence of nothing else."""
+        """Evidence without further columns."""
         self.links = self.nominal.links
-        """The links' errors ``(r,)`` that are found."""
+        """Fitted errors of the links ``(r,)``."""
         self.rigid = self._rigid(self.links)
-        """What the fitted links take ``(N, C)``."""
+        """Efforts of the fitted links ``(N, C)``."""
         self._linearise()
 
     def promises(self, columns: FloatArray, begins: IntArray | None = None, *, before: bool = False) -> FloatArray:

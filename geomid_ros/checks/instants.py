@@ -47,7 +47,7 @@ class SampleReservoir:
         self._recording = 0
         self._apart = _APART
         self.taken = 0.0
-        """How long the kept instants stand for, in least distances."""
+        """Time that the kept samples stand for, in units of the least distance."""
         self._last: int | None = None
 
     def __len__(self) -> int:

@@ -227,7 +227,7 @@ class FirstForces:
         self._count = 0
         self._products = {topic: np.zeros((6, 6)) for topic in self._forces}
         self.problems: dict[str, str] = {}
-        """What is wrong with each sensor that is not as declared, by its topic."""
+        """Problem of each sensor that is not as declared, by its topic."""
 
     @property
     def ended(self) -> bool:

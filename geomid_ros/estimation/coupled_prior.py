@@ -122,7 +122,7 @@ def fit_with_coupled_prior(
     weights = given or prior.weights(found, prior.trusted)
     for _ in range(ROUNDS):
         point, before = found.place, weights
-        found = solve(prior.problem_at(point, weights), start=point, spreads=found.prior_stds)
+        found = solve(prior.problem_at(point, weights), start=point, prior_stds=found.prior_stds)
         weights = given or prior.weights(found, before)
         change = max(abs(np.log(weights[name] / before[name])) for name in weights)
         if change < SETTLED and np.max(np.abs(prior.tangent(found.place) - prior.tangent(point))) < SETTLED:

@@ -153,7 +153,7 @@ def estimate(
         problem = replace(subproblem(full_problem, columns), independent=independent)
         solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
         if start is not None:
-            solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), spreads=start.spreads)
+            solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), prior_stds=start.spreads)
         elif alternative is not None and alternative.parameters is not None:
             solve = with_second_start(solve, problem.place(alternative.parameters[columns]), alternative.prior_stds)
         return _solve_with_prior(_coupled_prior(settings, problem), problem, solve, weights)

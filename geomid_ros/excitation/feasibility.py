@@ -138,7 +138,7 @@ class Feasibility:
         self.edge = np.minimum(_EDGE, _EDGE * np.diff(limits.position)[:, 0])
         self._check_start()
         self.clearances = np.zeros(0)
-        """Of each pair [m]."""
+        """Distance that each pair must keep ``(pairs,)`` [m]."""
         if collision is not None:
             if touching := overlap(collision, start):
                 raise InputError(f"at the start {touching}; give another --start")

@@ -120,7 +120,7 @@ class DiscriminationCriterion:
     def __init__(self, knowledge: Belief, ambiguities: Sequence[Ambiguity]) -> None:
         self._knowledge, self.disputes = knowledge, ambiguities
         self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
-        """The variant and the coefficients of each rival that look like what was found, by dispute and rival."""
+        """Variant and coefficients with which each rival imitates the finding, by ambiguity and rival."""
 
     def prepare(self, reference: ExcitingMotion) -> None:
         """Fit each rival to its finding on a ``reference`` motion, and scale it to leave as much effort unexplained."""

@@ -75,7 +75,7 @@ class WindowSimulation:
         self.step = period / self._substeps
         middles = period * (np.arange(windows.intervals * self._substeps) + 0.5) / self._substeps
         self.instants = times[windows.starts, None] + middles
-        """The middles of the integration steps of each window ``(W, steps)`` [s]."""
+        """Middles of the integration steps of each window ``(W, steps)`` [s]."""
 
     @cached_property
     def driving(self) -> FloatArray:

@@ -114,7 +114,7 @@ def test_a_joint_that_comes_to_rest_keeps_its_friction() -> None:
     ("level", "excess", "kept", "is_supported"), [(1, 0, 0.9, True), (1, 0, 1.3, False), (1, 0.5, 1.2, True)]
 )
 def test_no_more_than_all_dry_friction_keeps_its_sign(
-    level: float, excess: float, kept: float, is_borne_out: bool
+    level: float, excess: float, kept: float, is_supported: bool
 ) -> None:
     own = Presliding()
-    assert own.is_supported({DRY: level, StribeckFriction(0.25): excess, own: kept}) == is_borne_out
+    assert own.is_supported({DRY: level, StribeckFriction(0.25): excess, own: kept}) == is_supported

@@ -176,7 +176,7 @@ def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.Monk
     monkeypatch.setenv("ROS_DOMAIN_ID", str(stage.domain))
     before = signal.getsignal(signal.SIGINT)
     with prepared_run(order) as run:
-        monkeypatch.setattr(MotionMonitor, "look", fail)
+        monkeypatch.setattr(MotionMonitor, "check", fail)
         with pytest.raises(RuntimeError, match="a defect"):
             run.execute(stage.folder / "run1", lambda _: None)
     assert signal.getsignal(signal.SIGINT) is before
