@@ -130,7 +130,7 @@ def _follow(session: Session, before: Samples, after: Samples) -> _Course:
     for begin in range(0, len(after) - every, every):
         identifier.add(after.select(slice(begin, begin + every)))
         warm = WarmStart(estimate.parameters)
-        if identifier.outgrown(chosen):
+        if identifier.has_grown_beyond(chosen):
             warm, chosen = None, identifier.rows
         estimate = identifier.solve(warm)
         times.append(1e-9 * float(after.stamps[begin + every - 1]))

@@ -59,7 +59,7 @@ def _wait(worker: Worker) -> None:
     begin, session = time.monotonic(), worker.session
     detector = worker.solver.detector
     while worker.status(active=True).queue > session.pipeline.held or (
-        session.identifier.instants - detector.judged >= PART
+        session.identifier.instants - detector.searched_until >= PART
     ):
         if time.monotonic() - begin > _PATIENCE:
             raise RuntimeError(f"not judged within {_PATIENCE:g} s: {worker.status(active=True).failures}")

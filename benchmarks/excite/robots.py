@@ -70,7 +70,7 @@ def truth(prior: Belief, random: np.random.Generator) -> FloatArray:
     tangent = random.standard_normal(prior.model.dimension)
     links = posterior.manifold.inertial
     tangent[links] *= SPREAD
-    tangent[links.stop :] *= 0.5 * posterior.prior_spreads[links.stop :]
+    tangent[links.stop :] *= 0.5 * posterior.prior_stds[links.stop :]
     return np.array(posterior.manifold.exp(posterior.point, tangent).parameters)
 
 

@@ -159,7 +159,7 @@ def _estimate() -> Estimate:
             covariance=np.eye(10),
             scales=np.zeros(0),
             prior=np.ones(10),
-            prior_spreads=np.ones(10),
+            prior_stds=np.ones(10),
         ),
         rows=np.eye(10),
         targets=np.zeros(10),

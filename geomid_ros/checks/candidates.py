@@ -99,7 +99,7 @@ class Candidate:
         if self.undo is not None:
             return self.undo(subject)
         read = subject if self.read is None else self.read(subject)
-        return CandidateFit.of_corrected(read, self.sizes * subject.spread[self.sources])
+        return CandidateFit.of_corrected(read, self.sizes * subject.measured_std[self.sources])
 
 
 @dataclass(frozen=True, eq=False)

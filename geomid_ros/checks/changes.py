@@ -102,11 +102,13 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
 
     def offset(gain: Gain, when: str) -> _Named | None:
         main = _main(gain.coefficients)
-        steps = gain.coefficients * subject.spread
+        steps = gain.coefficients * subject.measured_std
         sizes_text = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
         return Cause.of("offset", [names[c] for c in main], sizes=sizes_text, when=when), main
 
-    yield _Kind(lambda of: by_channel(np.broadcast_to(of.spread[None, :, None], (*of.measured.shape, 1))), offset, True)
+    yield _Kind(
+        lambda of: by_channel(np.broadcast_to(of.measured_std[None, :, None], (*of.measured.shape, 1))), offset, True
+    )
 
     def steps(gain: Gain) -> FloatArray:
         first = np.std(subject.flexible.rigid, axis=0) / np.maximum(np.std(gain.rigid, axis=0), 1e-9)
@@ -222,8 +224,8 @@ def _switched(recording: Subject, place: float, factor: float) -> CandidateFit:
             gains = np.where(part, size, 1.0) * sign
             mended = subject.with_efforts(subject.measured * gains[:, None])
             volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
-            volume += len(gains) * float(np.sum(np.log(subject.spread / mended.spread)))
-            judged = CandidateFit.of_corrected(mended, mended.spread)
+            volume += len(gains) * float(np.sum(np.log(subject.measured_std / mended.measured_std)))
+            judged = CandidateFit.of_corrected(mended, mended.measured_std)
             readings.append(replace(judged, log=judged.log + volume))
     best = max(readings, key=lambda judged: judged.log)
     log = recording.nominal.log + best.log - subject.nominal.log

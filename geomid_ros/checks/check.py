@@ -218,10 +218,12 @@ def _unexplained(subject: Subject) -> tuple[Finding, ...]:
     curved = subject.flexible.nominal.sigmas > LARGEST_RESIDUAL
     residual = np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan)
     channels = [*zip(subject.names, subject.units, strict=True)]
-    return badly_explained(channels, rms(residual), subject.spread, partial(hint, subject), allowed=LARGEST_RESIDUAL)
+    return badly_explained(
+        channels, rms(residual), subject.measured_std, partial(hint, subject), allowed=LARGEST_RESIDUAL
+    )
 
 
 def is_model(subject: Subject) -> bool:
     """True if efforts are the prediction of the URDF, without friction or errors."""
     residual_rms = np.sqrt(np.mean((subject.measured - subject.predicted) ** 2, axis=0))
-    return bool(np.all(residual_rms < MOST * LEAST_SIGMA * subject.spread))
+    return bool(np.all(residual_rms < MOST * LEAST_SIGMA * subject.measured_std))

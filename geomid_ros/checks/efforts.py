@@ -80,7 +80,7 @@ def _frictions(subject: Subject) -> Iterator[Candidate]:
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
 
         def undo(subject: Subject) -> CandidateFit:
-            return CandidateFit.of_corrected(subject, subject.spread, subject.evidence(either_sign=drives))
+            return CandidateFit.of_corrected(subject, subject.measured_std, subject.evidence(either_sign=drives))
 
         yield Candidate(undo=undo, cause=cause, concerned=concerned)
 
@@ -101,7 +101,7 @@ def _magnitudes(subject: Subject) -> Iterator[Candidate]:
             mended = subject.with_efforts(measured)
             explained = mended.explained(mended.nominal)[:, concerned]
         return CandidateFit.of_corrected(
-            mended, mended.spread
+            mended, mended.measured_std
         )  # restored signs make numbers vary more, not less probable
 
     yield Candidate(undo=undo, cause=cause, concerned=concerned)
@@ -132,7 +132,7 @@ def _gains(subject: Subject) -> Iterator[Candidate]:
     common, settled = _common_factor(subject, slopes, r_squared)
     if not 1.0 / LARGEST_MASS_FACTOR <= common <= LARGEST_MASS_FACTOR:
         yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), every, settled)
-    by_size = np.std(subject.predicted, axis=0) / subject.spread
+    by_size = np.std(subject.predicted, axis=0) / subject.measured_std
     factors = np.where(
         (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size
     )
@@ -162,7 +162,7 @@ def _common_factor(subject: Subject, slopes: FloatArray, r_squared: FloatArray) 
             factor = 1.0 / float(np.median(ratios[sure]))
             return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(LARGEST_MASS_FACTOR))
     predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
-    return float(np.median(predicted / subject.spread)), False
+    return float(np.median(predicted / subject.measured_std)), False
 
 
 def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause:

@@ -64,7 +64,7 @@ class FlexibleFit:
             position, velocity: ``(N, C)`` of the joints.
         """
         self.measured, self._predicted = measured, predicted
-        self.spread = np.std(measured, axis=0)
+        self.measured_std = np.std(measured, axis=0)
         self._moving = moving(velocity).astype(np.float64)
         self.instants = float(np.mean(np.maximum(np.sum(self._moving, axis=0), 1.0)))
         """Mean number of samples per channel."""
@@ -134,13 +134,13 @@ class FlexibleFit:
 
     def _evidence(self, unknowns: Unknowns) -> Evidence:
         """Evidence of unknowns of unit variance, curves and friction."""
-        target = (self.measured - self._predicted) / self.spread
-        return evidence(target, unknowns, self._tolerated, units=self.spread, counted=self._moving)
+        target = (self.measured - self._predicted) / self.measured_std
+        return evidence(target, unknowns, self._tolerated, units=self.measured_std, counted=self._moving)
 
     def _linearise(self) -> None:
         """Linearise at the fit, with friction of either sign."""
-        self._weights = self._moving / (self.spread * self.nominal.sigmas)
-        scaled = self._own * self._tolerated * self.spread[:, None]
+        self._weights = self._moving / (self.measured_std * self.nominal.sigmas)
+        scaled = self._own * self._tolerated * self.measured_std[:, None]
         self._known = self._unknowns.with_separate(scaled).times(self._weights)
         self._target = self._weights * (self.measured - self._predicted)
         sums = self._known.with_target(self._target, np.ones(self._target.shape[1]))

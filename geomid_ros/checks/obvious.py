@@ -148,11 +148,11 @@ def _residual_rms(
     others = subject.part(~around)
     rubbing = np.max(np.abs(others.friction_efforts(subject.nominal)), axis=0)
     allowed = still[:, None] * np.where(is_joint, rubbing, 0.0)
-    residual = np.abs(subject.measured - subject.explained(subject.nominal)) / subject.spread
+    residual = np.abs(subject.measured - subject.explained(subject.nominal)) / subject.measured_std
     beyond = np.maximum(residual - allowed, 0.0)
     parts = (still, around & subject.is_moving)
     inside, at_ends = (np.sqrt(np.mean(beyond[part] ** 2, axis=0)) for part in parts)
-    outside = others.in_units(subject.spread).nominal.sigmas
+    outside = others.in_units(subject.measured_std).nominal.sigmas
     return np.maximum(inside, at_ends), outside
 
 

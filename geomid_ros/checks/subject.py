@@ -122,7 +122,7 @@ class Subject:
 
     def _divided(self, which: IntArray) -> list[Subject]:
         parts = [self.part(which == one) for one in np.unique(which)]
-        return [part for part in parts if 2 * len(part.samples) >= FEWEST and np.all(part.spread > 0.0)]
+        return [part for part in parts if 2 * len(part.samples) >= FEWEST and np.all(part.measured_std > 0.0)]
 
     def with_efforts(self, measured: FloatArray) -> Subject:
         """Return the same motion with other efforts ``(N, C)``."""
@@ -168,7 +168,7 @@ class Subject:
         return self.samples.effort[:, self.joints]
 
     @cached_property
-    def spread(self) -> FloatArray:
+    def measured_std(self) -> FloatArray:
         """Standard deviations of the efforts ``(C,)``."""
         return np.asarray(np.std(self.measured, axis=0))
 
@@ -176,7 +176,7 @@ class Subject:
     def counts(self) -> BoolArray:
         """True if efforts vary by a good part of the largest variation in their unit ``(C,)``: those of a wrist are
         often mostly friction and noise."""
-        return np.asarray(self.spread > LEAST_SIGMA * largest_of_unit(self.spread, self.units))
+        return np.asarray(self.measured_std > LEAST_SIGMA * largest_of_unit(self.measured_std, self.units))
 
     @cached_property
     def regressor(self) -> FloatArray:
@@ -274,8 +274,8 @@ class Subject:
         unknowns = self.unknowns if unknown is None else self.unknowns.with_errors(unknown)
         if not friction:
             unknowns = unknowns.with_separate(self.friction * (np.arange(FRICTION) == 0))
-        target = (self.measured - self.predicted) / self.spread
-        return evidence(target, unknowns, self.tolerated, units=self.spread, either_sign=either_sign)
+        target = (self.measured - self.predicted) / self.measured_std
+        return evidence(target, unknowns, self.tolerated, units=self.measured_std, either_sign=either_sign)
 
     def links(self, found: Evidence) -> FloatArray:
         """Links' parameters ``(D,)`` at an evidence."""
@@ -288,7 +288,7 @@ class Subject:
     def explained(self, found: Evidence) -> FloatArray:
         """Efforts that are explained ``(N, C)``, friction included."""
         friction = np.einsum("nck,ck->nc", self.friction, found.friction)
-        return np.asarray(self.regressor @ self.links(found) + self.spread * friction)
+        return np.asarray(self.regressor @ self.links(found) + self.measured_std * friction)
 
     def fitted_gravity(self, parameters: FloatArray) -> FloatArray:
         """Gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain the efforts best."""
@@ -296,7 +296,7 @@ class Subject:
         at_rest = [np.zeros_like(rates) for rates in motion]
         by_gravity = [self._rows(axis, positions, *at_rest) @ parameters for axis in np.eye(3)]
         residual = self.measured - self._rows(np.zeros(3), positions, *motion) @ parameters
-        columns = (np.array([*by_gravity, residual]) / self.spread).transpose(2, 1, 0)
+        columns = (np.array([*by_gravity, residual]) / self.measured_std).transpose(2, 1, 0)
         columns = self._without_friction(columns)
         return np.asarray(np.linalg.lstsq(columns[:, :, :3].reshape(-1, 3), columns[:, :, 3].ravel(), rcond=1e-6)[0])
 
@@ -341,7 +341,9 @@ class Subject:
         fitted, nominal = fitted - np.mean(fitted, axis=0), nominal - np.mean(nominal, axis=0)
         crossed, size = np.sum(fitted * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
         correlations = crossed / np.maximum(np.sqrt(size * np.sum(fitted**2, axis=0)), 1e-30)
-        return crossed / size, np.where(np.std(fitted, axis=0) > LARGEST_RESIDUAL * self.spread, correlations, 0.0)
+        return crossed / size, np.where(
+            np.std(fitted, axis=0) > LARGEST_RESIDUAL * self.measured_std, correlations, 0.0
+        )
 
 
 def largest_of_unit(sizes: FloatArray, units: Sequence[str]) -> FloatArray:

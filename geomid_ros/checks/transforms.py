@@ -152,10 +152,10 @@ def _at_rate(subject: Subject, rate: float, cause: Cause) -> Candidate:
 
     def undo(subject: Subject) -> CandidateFit:
         judged = CandidateFit.of_corrected(
-            subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.spread
+            subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.measured_std
         )
         without = max(
-            CandidateFit.of_corrected(read(subject), subject.spread).log for read in (weightless, compensated)
+            CandidateFit.of_corrected(read(subject), subject.measured_std).log for read in (weightless, compensated)
         )
         return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
 
@@ -233,7 +233,7 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
             zero = start + TILT * float(fitted.links[-1])
         deviations = TILT * fitted.deviations()[-1:]
         return CandidateFit.of_corrected(
-            mended, subject.spread, fitted, estimates=np.array([zero]), deviations=deviations
+            mended, subject.measured_std, fitted, estimates=np.array([zero]), deviations=deviations
         )
 
     def cause(judged: CandidateFit) -> Cause:

@@ -84,7 +84,7 @@ def hint(subject: Subject, joint: str, share: float) -> str:
     for text, columns in _hints(subject, channel):
         unknown = np.zeros((*subject.measured.shape, columns.shape[1]))
         sizes = np.maximum(np.std(columns, axis=0), np.finfo(float).tiny)
-        unknown[:, channel] = subject.spread[channel] * columns / sizes
+        unknown[:, channel] = subject.measured_std[channel] * columns / sizes
         remaining[text] = (subject.evidence(unknown=unknown).sigmas[channel] / before) ** 2
     best, *others = sorted(remaining, key=lambda text: remaining[text])
     return best if remaining[best] < MOST * min([1.0, *(remaining[text] for text in others)]) else _ELSE

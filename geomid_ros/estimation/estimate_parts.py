@@ -97,7 +97,7 @@ def posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) ->
         covariance=frozen(found.covariance),
         scales=problem.manifold.scales,
         prior=frozen(problem.prior),
-        prior_spreads=frozen(found.prior_spreads),
+        prior_stds=frozen(found.prior_spreads),
     )
 
 

@@ -139,7 +139,7 @@ def estimate(
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
         independent=_filter_fraction(summary, settings.cutoff),
-        given_spreads=prior_stds,
+        given_stds=prior_stds,
     )
     # Repeats of a motion count when effects are chosen; for the uncertainty of the parameters they hardly do.
     independent = full_problem.independent * subproblem(full_problem, _required_columns(model)).distinct
@@ -394,7 +394,7 @@ def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray)
 
 def _parameter_groups(problem: Problem) -> list[uncertainty.ParameterGroup]:
     """Parameter groups: the coordinates of all links, and those of each effect at all joints."""
-    first, prior_std = problem.manifold.inertial.stop, problem.prior_spreads
+    first, prior_std = problem.manifold.inertial.stop, problem.prior_stds
     effects = effect_columns((c.effect.name for c in problem.model.coefficients), first)
     groups = (np.arange(first), *effects.values())
     return [uncertainty.ParameterGroup(columns, float(prior_std[columns[0]])) for columns in groups]

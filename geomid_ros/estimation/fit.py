@@ -216,7 +216,7 @@ def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> Fl
 
 def _every_spread(problem: Problem, spreads: FloatArray) -> FloatArray:
     """Prior std ``(D,)`` of all coordinates, for these prior stds of the links."""
-    all_stds = problem.prior_spreads.copy()
+    all_stds = problem.prior_stds.copy()
     all_stds[problem.manifold.inertial] = np.repeat(spreads, 10)
     return all_stds
 

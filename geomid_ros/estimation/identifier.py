@@ -277,7 +277,7 @@ class Identifier:
         """Numbers of rejected rows, by reason."""
         return self.counts.rejected
 
-    def outgrown(self, rows: int, share: float) -> bool:
+    def has_grown_beyond(self, rows: int, share: float) -> bool:
         """True if more than this fraction ``share`` of the rows in memory came after the first ``rows`` rows."""
         with self._lock:
             return self._taken - rows > share * (self._summary.weight + self._recent.rows)

@@ -89,7 +89,7 @@ class AlikePrior(CoupledPrior):
             common_prior_stds(parts, problem.default_stds),
             np.arange(len(problem.model.nominal_inertias)),
         )
-        return AlikePrior(replace(problem, given_spreads=spreads), columns, parts)
+        return AlikePrior(replace(problem, given_stds=spreads), columns, parts)
 
     @cached_property
     def manifold(self) -> ParameterManifold:
@@ -172,7 +172,7 @@ class PopulationPrior(CoupledPrior):
         given = np.full(model.dimension, np.nan)
         given[columns] = subset.parameters
         spreads = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.default_stds)
-        return PopulationPrior(replace(problem, given=given, given_spreads=spreads), columns, subset)
+        return PopulationPrior(replace(problem, given=given, given_stds=spreads), columns, subset)
 
     @property
     def manifold(self) -> ParameterManifold:
@@ -192,7 +192,7 @@ class PopulationPrior(CoupledPrior):
     @cached_property
     def _own(self) -> FloatArray:
         """Standard deviations of the problem's separate prior, in the population's coordinates."""
-        manifold, stds = self.problem.manifold, self.problem.prior_spreads.copy()
+        manifold, stds = self.problem.manifold, self.problem.prior_stds.copy()
         stds[manifold.real] *= manifold.scales
         converted = stds[self.columns]
         converted[self.population.manifold.real] /= self.population.scales

@@ -114,13 +114,13 @@ class Posterior(RobotParameters):
         merged: Links that are fixed to each of the links and included in it.
         covariance: ``(D, D)`` of the tangent coordinates.
         prior: Parameters ``(D,)`` of the prior that the estimate started from.
-        prior_spreads: Standard deviations ``(D,)`` of the prior's error, in tangent coordinates.
+        prior_stds: Standard deviations ``(D,)`` of the prior's error, in tangent coordinates.
     """
 
     merged: tuple[tuple[str, ...], ...]
     covariance: FloatArray
     prior: FloatArray
-    prior_spreads: FloatArray
+    prior_stds: FloatArray
 
     @cached_property
     def jacobian(self) -> FloatArray:
@@ -139,7 +139,7 @@ class Posterior(RobotParameters):
     def evidence(self) -> tuple[FloatArray, FloatArray]:
         """Information of the data beyond the prior: rows ``(D, D)`` and targets ``(D,)`` of the parameters, with
         independent errors of standard deviation 1."""
-        root = beyond_prior(self.covariance, self.prior_spreads) / self.prior_spreads
+        root = beyond_prior(self.covariance, self.prior_stds) / self.prior_stds
         rows = np.asarray(np.linalg.solve(self.jacobian.T, root.T).T, dtype=np.float64)
         return rows, rows @ self.parameters
 
@@ -164,14 +164,14 @@ class Posterior(RobotParameters):
             covariance=frozen(self.covariance[np.ix_(order, order)]),
             scales=frozen(self.scales[np.array(places[positive:], dtype=np.int64) - positive]),
             prior=frozen(self.prior[order]),
-            prior_spreads=frozen(self.prior_spreads[order]),
+            prior_stds=frozen(self.prior_stds[order]),
         )
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:
         """Coordinates ``(D,)`` of other parameters ``(D,)``: their offset from the estimate."""
         return np.asarray(np.linalg.solve(self.jacobian, parameters - self.parameters))
 
-    def draw(self, count: int, random: np.random.Generator, spread: float = 1.0) -> FloatArray:
+    def draw(self, count: int, random: np.random.Generator, std_factor: float = 1.0) -> FloatArray:
         """Sample parameters ``(count, D)`` of robots from the posterior; all are physically consistent.
 
         The Gaussian is cut off where, in any direction, a body would have less than a twentieth of the estimate's
@@ -181,10 +181,10 @@ class Posterior(RobotParameters):
         Args:
             count: Number of robots.
             random: Random number generator.
-            spread: Factor of all standard deviations.
+            std_factor: Factor of all standard deviations.
         """
         values, vectors = np.linalg.eigh(self.covariance)
-        root = spread * np.sqrt(np.maximum(values, 0.0)) * vectors
+        root = std_factor * np.sqrt(np.maximum(values, 0.0)) * vectors
 
         def gaussian(size: int) -> FloatArray:
             return np.asarray(random.standard_normal((size, len(values))) @ root.T)

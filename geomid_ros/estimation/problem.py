@@ -13,7 +13,7 @@ from geomid_ros.estimation.starting_point import (
     DEFAULT_PRIOR_STD,
     first_sigmas,
     prior_parameters,
-    prior_spreads,
+    prior_stds_of,
     scales_of_coefficients,
 )
 from geomid_ros.estimation.summary import RowSummary
@@ -42,7 +42,7 @@ class Problem:
         sigmas: standard deviations by channel where they are given ``(channels,)``, else NaN.
         gamma: weight of the prior as a fraction of the rows', if given.
         independent: fraction of the rows that counts as independent: the filter correlates rows, and motions repeat.
-        given_spreads: default prior std of the links ``(links,)``, if not that of CAD files.
+        given_stds: default prior std of the links ``(links,)``, if not that of CAD files.
     """
 
     model: MeasurementModel
@@ -52,7 +52,7 @@ class Problem:
     sigmas: FloatArray
     gamma: float | None
     independent: float
-    given_spreads: FloatArray | None = None
+    given_stds: FloatArray | None = None
 
     def with_known_rows(self, known: WeighedRows) -> Problem:
         """Return the problem with more known rows. Properties that do not depend on these are shared by both."""
@@ -63,8 +63,8 @@ class Problem:
     @cached_property
     def default_stds(self) -> FloatArray:
         """Default prior std of the links ``(links,)``."""
-        if self.given_spreads is not None:
-            return self.given_spreads
+        if self.given_stds is not None:
+            return self.given_stds
         return np.full(len(self.model.body_names), DEFAULT_PRIOR_STD)
 
     @cached_property
@@ -84,15 +84,15 @@ class Problem:
         known than a real coefficient of its channel. A real coefficient whose prior is a first fit is known to its own
         size at best, as positive ones are.
         """
-        positive, real = np.split(self.prior_spreads[self.manifold.inertial.stop :], [self.model.positives])
+        positive, real = np.split(self.prior_stds[self.manifold.inertial.stop :], [self.model.positives])
         least = DEFAULT_PRIOR_STD * self.scales[: self.model.positives] / point.positives
         fitted = np.abs(self.prior_point.reals) / self.manifold.scales if self.given is None else 0.0
         return np.concatenate([np.maximum(positive, least), np.maximum(real, fitted)])
 
     @cached_property
-    def prior_spreads(self) -> FloatArray:
+    def prior_stds(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error, tangent coordinates, before the links' are fitted."""
-        spreads = prior_spreads(self.model, self.manifold, self.given)
+        spreads = prior_stds_of(self.model, self.manifold, self.given)
         spreads[self.manifold.inertial] = np.repeat(self.default_stds, 10)
         return spreads
 
@@ -196,8 +196,8 @@ class Problem:
     def _followed(self) -> float:
         """Effective number of parameters that the rows determine rather than the prior."""
         products = self.products.weighed(self.first_noise**-2.0)[:-1, :-1]
-        half = self.manifold.whiten(self.prior_point, self.independent * products) * self.prior_spreads
-        information = self.manifold.whiten(self.prior_point, half.T) * self.prior_spreads
+        half = self.manifold.whiten(self.prior_point, self.independent * products) * self.prior_stds
+        information = self.manifold.whiten(self.prior_point, half.T) * self.prior_stds
         values = np.maximum(np.linalg.eigvalsh(information), 0.0)
         return float(np.sum(values / (1.0 + values)))
 

@@ -81,7 +81,7 @@ def default_prior_stds(manifold: ParameterManifold) -> FloatArray:
     return spreads
 
 
-def prior_spreads(model: MeasurementModel, manifold: ParameterManifold, given: FloatArray | None) -> FloatArray:
+def prior_stds_of(model: MeasurementModel, manifold: ParameterManifold, given: FloatArray | None) -> FloatArray:
     """Default prior std ``(D,)``; coefficients that are expected to be about zero have their effect's."""
     spreads = default_prior_stds(manifold)
     expected = _expected_shares(model, given)

@@ -97,7 +97,7 @@ def estimate_uncertainty(
     """Uncertainty of a regularised estimate.
 
     Two numbers per group are estimated from the data: the factor by which correlated residuals enlarge the errors
-    (:func:`variance_inflation`), and the standard deviation of the prior's errors (:func:`prior_spreads`). A few blocks
+    (:func:`variance_inflation`), and the standard deviation of the prior's errors (:func:`prior_stds_of`). A few blocks
     of time and a few links determine both only roughly, so that each is bounded below by what is known otherwise.
 
     Args:

@@ -140,7 +140,7 @@ def belief_from_urdf(model: MeasurementModel, limits: MotionLimits) -> Belief:
         covariance=frozen(np.diag(prior_stds**2)),
         scales=frozen(scales),
         prior=frozen(parameters),
-        prior_spreads=frozen(prior_stds),
+        prior_stds=frozen(prior_stds),
     )
     return Belief(model, posterior, frozen(NOISE / _USUAL_SHARE * channel_sizes))
 

@@ -112,8 +112,8 @@ class DrawnRobots:
         return f"the same in all robots, as the posterior has nothing of it: {', '.join(names)}" if names else ""
 
 
-def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots:
-    """Sample ``count`` robots from the posterior beside an ``estimate.json``, standard deviations times ``spread``.
+def draw_robots(path: Path, count: int, seed: int, std_factor: float) -> DrawnRobots:
+    """Sample ``count`` robots from the posterior beside an ``estimate.json``, standard deviations times ``std_factor``.
 
     Raises:
         InputError: there is no posterior beside it, or it is of another estimate.
@@ -126,7 +126,7 @@ def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots
     check_matches_estimate(
         posterior, file, {name: model.bodies[name].parameters for name in model.estimated}, model.source
     )
-    drawn = posterior.draw(max(count, ENOUGH), np.random.default_rng(seed), spread)
+    drawn = posterior.draw(max(count, ENOUGH), np.random.default_rng(seed), std_factor)
     return DrawnRobots(model, posterior, drawn, count)
 
 

@@ -52,20 +52,19 @@ class Analysis:
 @dataclass(frozen=True, eq=False)
 class _Task:
     """Input of the search: ``model``, ``records``, the candidates to be ``tried``, ``links`` that may have changed, the
-    known remainder (``standing``) and a ``progress`` callback. The ``inner`` links of a URDF may be wrong as well as
-    loaded."""
+    ``known_remainder`` and a ``progress`` callback. The ``inner`` links of a URDF may be wrong as well as loaded."""
 
     model: MeasurementModel
     records: Records
     tried: Sequence[Candidate]
     links: Sequence[int]
     inner: Collection[int]
-    standing: KnownRemainder | None
+    known_remainder: KnownRemainder | None
     progress: Callable[[str, float], None]
 
     def linearised(self, total: TotalModel, floor: FloatArray | None = None) -> LinearisedProblem:
         """Return the problem linearised at a total model."""
-        return LinearisedProblem(self.model, self.records, total, floor, self.standing)
+        return LinearisedProblem(self.model, self.records, total, floor, self.known_remainder)
 
 
 def analyse(
@@ -73,7 +72,7 @@ def analyse(
     records: Records,
     prior: EffectsPrior,
     progress: Callable[[str, float], None],
-    standing: KnownRemainder | None = None,
+    known_remainder: KnownRemainder | None = None,
 ) -> Analysis:
     """Find the set of named effects that explains the records best, and the changed links given these.
 
@@ -84,9 +83,9 @@ def analyse(
     candidates = _identifiable(library.candidates(model, prior.terms, bare=not prior.identified), records.moving)
     links = [c.payload for c in candidates if c.payload is not None]
     inner = {c.payload for c in candidates if c.payload is not None and c.joint is not None} - _ends(model, links)
-    if prior.known is not None:
+    if prior.other_recordings is not None:
         candidates, inner = [c for c in candidates if c.payload not in inner], set()
-    task = _Task(model, records, candidates, links, inner=inner, standing=standing, progress=progress)
+    task = _Task(model, records, candidates, links, inner=inner, known_remainder=known_remainder, progress=progress)
     return _with_changed_link(task, _searched(task, prior, "searching"))
 
 
@@ -124,7 +123,7 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     other effects that mimic a lighter link. So each link is tried with effects found given its change. All links that
     explain it about as well are searched to the end. A link with a payload is changed by that, unless it is lighter."""
     search, names = analysis.search, analysis.effects
-    if search.prior.known is None:
+    if search.prior.other_recordings is None:
         return analysis
     threshold = names.score + 2.0 * np.log(ODDS)
     trials = list[tuple[EffectsPrior, float, bool]]()

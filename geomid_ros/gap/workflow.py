@@ -151,7 +151,7 @@ def remainder_of_model(
     train: Sequence[Samples],
     cutoff: float,
     nominal: FloatArray | None,
-    beside: Sequence[KnownEffect],
+    other_effects: Sequence[KnownEffect],
 ) -> KnownRemainder | None:
     """Return the remainder of an identified model on its training data; elsewhere the same remainder is no change.
 
@@ -160,7 +160,7 @@ def remainder_of_model(
         train: data from which it was identified, as in :func:`find_gap`, of a pipeline with this ``cutoff`` [Hz].
         cutoff: of their low-pass [Hz].
         nominal: the model's parameters ``(D,)``, as in :func:`find_gap`.
-        beside: the effects that it has in addition to these.
+        other_effects: the effects that it has in addition to these.
 
     Returns:
         None if there is too little motion, or no channel is informative.
@@ -170,7 +170,7 @@ def remainder_of_model(
         _check(bare, records)
     except InputError:
         return None
-    prior, _ = _with_other_effects(bare, records, _prior(model, nominal), beside)
+    prior, _ = _with_other_effects(bare, records, _prior(model, nominal), other_effects)
     remainder = known_remainder(bare, records, prior)
     return remainder if any(map(len, remainder.means)) else None
 
@@ -180,7 +180,7 @@ def residual_rms(
     samples: Sequence[Samples],
     cutoff: float,
     nominal: FloatArray | None,
-    beside: Sequence[KnownEffect],
+    other_effects: Sequence[KnownEffect],
 ) -> FloatArray:
     """Return a model's residual RMS ``(C,)`` on samples, predicted as by :func:`find_gap` before it fits anything.
 
@@ -189,11 +189,11 @@ def residual_rms(
         samples: one element per recording, of a pipeline with this ``cutoff`` [Hz].
         cutoff: of their low-pass [Hz].
         nominal: the model's parameters ``(D,)``, as in :func:`find_gap`.
-        beside: the effects that it has in addition, which depend on its prediction of a motion: elastic gears, play.
+        other_effects: its other effects, which depend on its prediction of a motion: elastic gears, play.
     """
     bare, records = model.without_effects(), Records.make(samples, cutoff)
     prior = _prior(model, nominal)
-    prior, _ = _with_other_effects(bare, records, prior, beside)
+    prior, _ = _with_other_effects(bare, records, prior, other_effects)
     untouched = unfitted(prior)
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     return root_mean_square(problem.residual(problem.columns((), prior.terms), untouched))
@@ -257,7 +257,7 @@ def _prior(
         prior_stds=np.maximum(changes, stds[present]),
         certainty=_CERTAINTY_OF_IDENTIFIED if identified else CERTAINTY,
         identified=identified,
-        known=known if identified else None,
+        other_recordings=known if identified else None,
         constraints=passivity_constraints,
     )
 
@@ -304,10 +304,10 @@ def _with_least_stds(model: MeasurementModel, records: Records, prior: EffectsPr
     least = _LEAST_SHARE * problem.usual_sizes(prior.terms)
     small = (np.abs(prior.values) < least) & np.isfinite(least)  # infinite where nothing is measured
     least = np.where(small, least, 0.0)
-    known = prior.known
+    known = prior.other_recordings
     if known is not None:
         known = replace(known, changes=np.maximum(known.changes, least[: len(known.changes)]))
-    return replace(prior, prior_stds=np.maximum(prior.prior_stds, least), known=known)
+    return replace(prior, prior_stds=np.maximum(prior.prior_stds, least), other_recordings=known)
 
 
 def _as_simulated(
@@ -320,7 +320,7 @@ def _as_simulated(
     values = np.array([likely.value(term) for term in likely.terms])
     spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(values), _LEAST_SPREAD)
     return replace(
-        prior, inertias=inertias, terms=likely.terms, values=values, prior_stds=spreads, known=None, alike=()
+        prior, inertias=inertias, terms=likely.terms, values=values, prior_stds=spreads, other_recordings=None, alike=()
     )
 
 

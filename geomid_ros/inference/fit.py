@@ -150,9 +150,9 @@ def fit(
     all links, or of each. Recordings that contradict each other give two minima: either the others are right and the
     present measurement is mostly error, or the reverse. Both are searched; the more likely one is returned.
     """
-    if prior.known is None or prior_std is not None:
+    if prior.other_recordings is None or prior_std is not None:
         return _fit(design, prior, chosen, start, prior_std)
-    alone = _fit(design, replace(prior, known=None), chosen, start)
+    alone = _fit(design, replace(prior, other_recordings=None), chosen, start)
     rows, _ = _known_rows(prior, chosen, alone.manifold)
     off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
     loose = replace(alone, inflation=priors.contradiction(rows, off))
@@ -268,12 +268,12 @@ def _products(rows: FloatArray, residuals: FloatArray) -> FloatArray:
 def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: ParameterManifold) -> tuple[FloatArray, float]:
     """Rows of other recordings and their cost, none without any; see :meth:`OtherRecordings.present_rows`. Coefficients
     of the chosen candidates have changed since then."""
-    if prior.known is None:
+    if prior.other_recordings is None:
         return np.zeros((0, manifold.dimension + 1)), 0.0
     named = {term for c in chosen for term in c.terms}
-    triples = zip(prior.terms, prior.prior_stds.tolist(), prior.known.changes, strict=False)
+    triples = zip(prior.terms, prior.prior_stds.tolist(), prior.other_recordings.changes, strict=False)
     others = {place: spread for place, (term, spread, _) in enumerate(triples) if term in named}
-    return prior.known.present_rows(manifold.dimension, int(manifold.real.start), others)
+    return prior.other_recordings.present_rows(manifold.dimension, int(manifold.real.start), others)
 
 
 def _constraint_rows(constraints: FloatArray | None, manifold: ParameterManifold, prior: Point) -> FloatArray:

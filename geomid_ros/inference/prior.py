@@ -104,7 +104,7 @@ class Prior(Generic[Term]):
         terms, values, prior_stds: coefficients ``(k,)`` of the effects in the model, and their prior stds.
         certainty: weight of ``prior_std`` when it is re-estimated, in directions of a link's error.
         identified: True if all this was identified, not guessed.
-        known: information from other recordings on the links, and on effects.
+        other_recordings: information from other recordings on the links, and on effects.
         changed_link: link that differs now from the one in the other recordings.
         cost: minus twice the log of the factor that this change puts on the likelihood of the other recordings.
         alike: groups of links that have most of their errors in common.
@@ -118,7 +118,7 @@ class Prior(Generic[Term]):
     prior_stds: FloatArray
     certainty: float
     identified: bool = False
-    known: OtherRecordings | None = None
+    other_recordings: OtherRecordings | None = None
     changed_link: int | None = None
     cost: float = 0.0
     alike: Sequence[AlikeParts] = ()
@@ -127,17 +127,19 @@ class Prior(Generic[Term]):
     @property
     def by_itself(self) -> Prior[Term]:
         """Prior without other recordings, which are reduced to a standard deviation for each effect."""
-        if self.known is None:
+        if self.other_recordings is None:
             return self
         manifold = StraightManifold(len(self.inertias) // 10, 0, np.ones(0))
-        links = manifold.whiten(manifold.point(self.inertias), self.known.rows[:, : self.known.links])
-        rows = np.column_stack([links * self.prior_std, self.known.rows[:, self.known.links :]])
-        count = len(self.known.changes)
-        rows[:, self.known.links :] *= self.prior_stds[:count]
-        variances = np.diag(np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1])))[self.known.links :]
+        links = manifold.whiten(
+            manifold.point(self.inertias), self.other_recordings.rows[:, : self.other_recordings.links]
+        )
+        rows = np.column_stack([links * self.prior_std, self.other_recordings.rows[:, self.other_recordings.links :]])
+        count = len(self.other_recordings.changes)
+        rows[:, self.other_recordings.links :] *= self.prior_stds[:count]
+        variances = np.diag(np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1])))[self.other_recordings.links :]
         earlier = np.append(np.sqrt(variances) * self.prior_stds[:count], self.prior_stds[count:])
-        spreads = np.hypot(earlier, np.append(self.known.changes, np.zeros(len(earlier) - count)))
-        return replace(self, known=None, prior_stds=spreads)
+        spreads = np.hypot(earlier, np.append(self.other_recordings.changes, np.zeros(len(earlier) - count)))
+        return replace(self, other_recordings=None, prior_stds=spreads)
 
     @property
     def link_prior_stds(self) -> FloatArray:
@@ -156,15 +158,15 @@ class Prior(Generic[Term]):
     def with_changed(self, link: int) -> Prior[Term]:
         """Return the prior for a robot of which ``link`` has changed since the other recordings. These constrain only
         the other links: the former link is marginalised with the prior std ``prior_std``."""
-        if self.known is None:
+        if self.other_recordings is None:
             return self
         manifold, places = StraightManifold(len(self.inertias) // 10, 0, np.ones(0)), slice(10 * link, 10 * link + 10)
-        links = self.known.rows[:, : self.known.links]
+        links = self.other_recordings.rows[:, : self.other_recordings.links]
         columns = self.prior_std * manifold.whiten(manifold.point(self.inertias), links)[:, places]
-        known, cost = self.known.marginalised(columns)
+        known, cost = self.other_recordings.marginalised(columns)
         rows = known.rows.copy()
         rows[:, places] = 0.0
-        return replace(self, known=replace(known, rows=rows), changed_link=link, cost=cost)
+        return replace(self, other_recordings=replace(known, rows=rows), changed_link=link, cost=cost)
 
     def value(self, term: Term) -> float:
         """Coefficient of ``term`` in the model, 0 if it has none."""

@@ -134,7 +134,7 @@ class Solver:
     def carried(self) -> CarriedPayload | None:
         """Payload that was picked up; None if there is none."""
         payload = self.detector.payload
-        return None if payload is None else payload.carried
+        return None if payload is None else payload.payload
 
     def estimate_before(self, instant: int) -> Estimate | None:
         """Return the last estimate from samples before this index; None if that is too long ago."""
@@ -187,7 +187,9 @@ class Solver:
             rows, identifier = self._session.identifier.rows, self._session.identifier
             if rows == self._solved_rows:
                 return
-            much_is_new = self._forgets or bool(self.problem) or identifier.outgrown(self._solved_rows, NEW_SHARE)
+            much_is_new = (
+                self._forgets or bool(self.problem) or identifier.has_grown_beyond(self._solved_rows, NEW_SHARE)
+            )
             if self._pace.is_due(rows, much_is_new):
                 self._solve_once(self._warm_start())
             else:
@@ -237,7 +239,7 @@ class Solver:
                 if changed is None:  # the sensor is sound
                     self._session.identifier.restore_rows(reason, 0)
                 elif topic not in changed:
-                    self._session.identifier.restore_rows(reason, detector.judged)
+                    self._session.identifier.restore_rows(reason, detector.searched_until)
                 elif self._session.identifier.leave_out(reason, channels, changed[topic]):
                     self._solve_afresh()
         robot_changed = robot_may_have_changed(detector.gaps, self._session.model)
@@ -251,7 +253,7 @@ class Solver:
             warm = self._session.warm
             if warm is None or self.problem:
                 return None
-            return replace(warm, effects_alone=self._session.identifier.outgrown(warm.rows, _CHOSEN_ANEW))
+            return replace(warm, effects_alone=self._session.identifier.has_grown_beyond(warm.rows, _CHOSEN_ANEW))
 
     def _solve_from_scratch(self) -> Estimate | GeomidError:
         """Solve from scratch, or return the result for the same rows: clients ask again after a timeout."""

@@ -143,7 +143,7 @@ class InverseDynamics:
         motion_effects = [(c.effect, c.place, value) for c, value in nonzero if isinstance(c.effect, MotionEffect)]
         self._robot = model.robot
         self._whole = _Motors(model.robot, inertias, motion_effects)
-        self._gears = _Motors(model.robot, model.loading, model.resisting)
+        self._gears = _Motors(model.robot, model.gear_inertias, model.gear_effects)
         self._by_load: dict[LoadEffect, FloatArray] = {}
         for c, value in nonzero:
             if isinstance(c.effect, LoadEffect):

@@ -85,9 +85,9 @@ class MeasurementModel:
         self.identified = self._identified_bodies(links)
         self.body_names = tuple(robot.bodies[index].name for index in self.identified)
         """Names of the identified bodies."""
-        self.loading = np.array([body.parameters for body in robot.bodies])
+        self.gear_inertias = np.array([body.parameters for body in robot.bodies])
         """Parameters of all bodies ``(bodies, 10)`` from which gear loads are computed: the URDF's, or known ones."""
-        self.resisting: tuple[tuple[MotionEffect, Place, float], ...] = ()
+        self.gear_effects: tuple[tuple[MotionEffect, Place, float], ...] = ()
         """Known effects on the link side of the gears, as (effect, place, coefficient); they add to the gear loads."""
         self.legs = Legs(robot, contacts) if contacts else None
         """Legs, if ground forces are computed from their efforts; else None."""
@@ -176,7 +176,7 @@ class MeasurementModel:
         of the links (the URDF's where unknown) and of known effects on the link side of the gears."""
         if known is None:
             return self
-        first, loading = 10 * len(self.identified), self.loading.copy()
+        first, loading = 10 * len(self.identified), self.gear_inertias.copy()
         inertias = np.where(np.isfinite(known[:first]), known[:first], self.nominal_inertias)
         loading[list(self.identified)] = inertias.reshape(-1, 10)
         resisting = tuple(
@@ -184,7 +184,7 @@ class MeasurementModel:
             for c, value in zip(self.coefficients, known[first:], strict=True)
             if isinstance(c.effect, MotionEffect) and not c.effect.before_gear and np.isfinite(value)
         )
-        return self._replaced(loading=loading, resisting=resisting)
+        return self._replaced(gear_inertias=loading, gear_effects=resisting)
 
     def with_payload(self, link: str) -> MeasurementModel:
         """Return the model with a payload as its last body, fixed to the identified ``link`` and in its frame."""
@@ -378,8 +378,8 @@ class MeasurementModel:
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
         """Compute gear loads ``(N, J)`` from the known bodies and effects."""
-        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self.loading)
-        if self.resisting and self.layout.efforts:
+        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self.gear_inertias)
+        if self.gear_effects and self.layout.efforts:
             entries, strengths = self._of_resistance
             loads += samples.values_of(entries) @ strengths
         return self.with_ground(samples, loads)
@@ -409,7 +409,7 @@ class MeasurementModel:
     @cached_property
     def _of_resistance(self) -> tuple[Entries, FloatArray]:
         """Entries of the known resisting effects, and all joints' efforts per unit of each ``(entries, joints)``."""
-        return entries_of(self.resisting, len(self.layout.efforts))
+        return entries_of(self.gear_effects, len(self.layout.efforts))
 
     @cached_property
     def _of_loads(self) -> dict[LoadEffect, IntArray]:

@@ -90,7 +90,7 @@ class ChangeDetector:
         self._disturbed = False  # True if a payload was picked up or put down in it
         self.gaps: tuple[ChannelGap, ...] = ()
         """Monitored channels as of the last block."""
-        self.judged = 0
+        self.searched_until = 0
         """Index of the first sample that was not searched for a payload yet."""
 
     def add(self, first: int, stamps: IntArray, rows: Rows) -> bool:
@@ -112,7 +112,7 @@ class ChangeDetector:
         while len(self._waiting) >= PART:
             self._parts.append(self._next())
             self._judge_payload(self._parts[-1])
-            self.judged = self._parts[-1].first + PART
+            self.searched_until = self._parts[-1].first + PART
             if len(self._parts) * PART == BLOCK:
                 self._judge_channels()
                 return True
@@ -130,7 +130,7 @@ class ChangeDetector:
         noise = [channel.noise for channel in self._channels]
         if self.payload.update(*part, noise, retained):
             self._disturbed = True
-            began = part.first if self.payload.carried is None else self.payload.carried.first
+            began = part.first if self.payload.payload is None else self.payload.payload.first
             for channel in self._channels:
                 channel.clear_suspicion(began - LATE)
 
@@ -138,7 +138,7 @@ class ChangeDetector:
         first, stamps, rows = _Block.joined(self._parts)
         self._parts.clear()
         disturbed, self._disturbed = self._disturbed, False
-        if not disturbed and (self.payload is None or self.payload.carried is None):
+        if not disturbed and (self.payload is None or self.payload.payload is None):
             for index, channel in enumerate(self._channels):
                 channel.judge(first, stamps, rows.coefficients[:, index], rows.targets[:, index])
         self.gaps = tuple(channel.gap for channel in self._channels if channel.ready)
@@ -147,7 +147,7 @@ class ChangeDetector:
     def changes(self) -> list[tuple[int, int]]:
         """Stamps [ns] and sample indices since which gaps are open or a payload is carried."""
         changes = [(gap.since, gap.first_sample) for gap in self.gaps if gap.since is not None]
-        carried = None if self.payload is None else self.payload.carried
+        carried = None if self.payload is None else self.payload.payload
         return changes if carried is None else [*changes, (carried.since, carried.first)]
 
     def unchanged_before(self, channels: Sequence[int]) -> int:
@@ -157,7 +157,7 @@ class ChangeDetector:
         the index is never further back than that.
         """
         suspect = [self._channels[index].first_suspect for index in channels]
-        judged = self._parts[0].first if self._parts else self.judged
+        judged = self._parts[0].first if self._parts else self.searched_until
         begin = min([judged, *(first for first in suspect if first is not None)])
         return max(begin - LATE, judged - REMEMBERED * BLOCK)
 

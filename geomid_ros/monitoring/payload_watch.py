@@ -204,7 +204,7 @@ class PayloadWatch:
         self._loaded: _Block | None = None  # sum since the payload is carried
         self._noise: Sequence[Noise] = ()
         self._share = 1.0  # weight that rows learned so far keep after newer rows without a payload
-        self.carried: CarriedPayload | None = None
+        self.payload: CarriedPayload | None = None
         """Present payload; None if there is none."""
 
     def update(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[Noise], retained: float) -> bool:
@@ -217,7 +217,7 @@ class PayloadWatch:
             noise: of each channel.
             retained: fraction of their weight that earlier rows keep.
         """
-        if self.carried is None:
+        if self.payload is None:
             self._noise = noise
             self._share *= retained
         measured = usable(rows.coefficients, rows.targets)
@@ -227,10 +227,10 @@ class PayloadWatch:
         )
         counts = np.count_nonzero(measured, axis=0).astype(np.float64)
         block = _Block(products, counts, counts / len(stamps), first, int(stamps[0]))
-        self._recent.append((block, None if self.carried is None else self.carried.parameters))
+        self._recent.append((block, None if self.payload is None else self.payload.parameters))
         changed = self._take() if self._loaded is None else self._drop()
-        if self._loaded is not None and self.carried is not None and not changed:
-            self._follow(self._loaded + block, self.carried.parameters)
+        if self._loaded is not None and self.payload is not None and not changed:
+            self._follow(self._loaded + block, self.payload.parameters)
         if len(self._recent) == 2 * REMEMBERED:
             oldest = _sum([self._recent.popleft()[0] for _ in range(REMEMBERED)])
             if self._loaded is None:
@@ -310,7 +310,7 @@ class PayloadWatch:
         self._loaded = loaded
         body = fit.point.parameters
         covariance = fit.covariance + self._gain**2 * np.outer(body, body)
-        self.carried = CarriedPayload(
+        self.payload = CarriedPayload(
             self._link, self._columns, frozen(body), frozen(covariance), loaded.stamp, loaded.first
         )
 
@@ -321,7 +321,7 @@ class PayloadWatch:
             against = -likelihood.unknown - (0.0 if payload is None else likelihood.gain(payload))
             if against > self._surprise:
                 self._recent = deque((b, None) for b, _ in self._recent if b.first >= block.first)
-                self._loaded = self.carried = None
+                self._loaded = self.payload = None
                 return True
             if against < 0.0:
                 break

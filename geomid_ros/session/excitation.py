@@ -338,7 +338,7 @@ def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Na
 def _parameter_count(effect: Effect, place: Place) -> float:
     """Number of parameters that an effect counts for; for a payload, those that sentences state, without inertia."""
     terms = Candidate.of(effect, place).terms
-    return float(len(terms) + bool(effect.grid_value)) if terms else float(effect.said_first or 0)
+    return float(len(terms) + bool(effect.grid_value)) if terms else float(effect.stated_parameter_count or 0)
 
 
 def _coefficients(finding: KnownEffect, name: NamedEffect) -> FloatArray:

@@ -116,9 +116,11 @@ def _filtered_at(session: Session, cutoff: float) -> SignalSettings:
     return replace(session.configuration.signals(session.robot.joint_names), cutoff=cutoff)
 
 
-def find(session: Session, recordings: Recordings, standing: KnownRemainder | None, progress: Progress) -> GapResult:
+def find(
+    session: Session, recordings: Recordings, known_remainder: KnownRemainder | None, progress: Progress
+) -> GapResult:
     """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model, the information on it, and its remainder
-    in the recordings that it was identified from: ``standing``.
+    in the recordings that it was identified from: ``known_remainder``.
 
     Raises:
         InputError: the recordings are too short, without motion or without anything measured, or the robot stands on
@@ -140,7 +142,7 @@ def find(session: Session, recordings: Recordings, standing: KnownRemainder | No
         deviations=deviations,
         previous=information,
         other_effects=session.loaded.situational_effects,
-        known_remainder=standing,
+        known_remainder=known_remainder,
         simulated=recordings.simulated,
         progress=progress,
     )
@@ -181,7 +183,7 @@ def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[Othe
     """Information of a posterior's data on the parameters of a model, relative to its estimate; and the prior standard
     deviations ``(D,)`` of its effects, NaN where it has none."""
     order, (rows, _) = places_in(posterior, model), posterior.evidence
-    prior_stds = np.abs(np.diag(posterior.jacobian)) * posterior.prior_spreads
+    prior_stds = np.abs(np.diag(posterior.jacobian)) * posterior.prior_stds
     known = OtherRecordings(
         np.where(order >= 0, rows[:, order], 0.0), np.zeros(len(rows)), np.zeros(len(model.coefficients))
     )
@@ -230,7 +232,7 @@ def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
 
 
 def find_in_messages(
-    session: Session, messages: Sequence[Accepted], standing: KnownRemainder | None, progress: Progress
+    session: Session, messages: Sequence[Accepted], known_remainder: KnownRemainder | None, progress: Progress
 ) -> GapResult:
     """Like :func:`find`, on messages accepted by another pipeline; their last part is held out.
 
@@ -241,7 +243,7 @@ def find_in_messages(
     session.review.check.add(samples)
     session.review.judge()
     ((train, held_out),) = divided([samples], HELD_OUT)
-    return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), standing, progress)
+    return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), known_remainder, progress)
 
 
 def lacking_in_messages(

@@ -45,7 +45,7 @@ def subject() -> Subject:
     samples = seven.samples.select(slice(None, None, 10))
     every = Subject.of_all(seven.model.robot, samples)
     noise = np.random.default_rng(0).normal(size=every.measured.shape)
-    return every.with_efforts(every.measured + 0.5 * every.spread * noise)
+    return every.with_efforts(every.measured + 0.5 * every.measured_std * noise)
 
 
 def tried(of: Subject, better: Sequence[float], places: Sequence[int], first: float = 1.0) -> CandidateTest:

@@ -91,7 +91,7 @@ def test_what_a_model_without_friction_leaves_is_the_friction_s(name: str) -> No
     of = case(name, 1)
     samples = of.samples.select(slice(None, None, len(of.samples) // INSTANTS + 1))
     subject = Subject.of_all(of.model.robot, samples)
-    spread, joint = 3.0 * subject.spread[1], subject.names[1]
+    spread, joint = 3.0 * subject.measured_std[1], subject.names[1]
     efforts = subject.measured + np.eye(len(subject.joints))[1] * spread * np.sign(samples.velocity[:, [1]])
     coupled = subject.measured + np.outer(4.0 * subject.measured[:, 2], np.eye(len(subject.joints))[1])
     rubbed, of_another = subject.with_efforts(efforts), subject.with_efforts(coupled)

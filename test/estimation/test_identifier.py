@@ -139,9 +139,9 @@ def test_without_forgetting_rows_are_outgrown_by_a_third_once_half_as_many_came_
     identifier = fed(replace(case, samples=case.samples.select(slice(400))))
     chosen = identifier.rows
     identifier.add(case.samples.select(slice(400, 600)))
-    assert not identifier.outgrown(chosen, 1.0 / 3.0)
+    assert not identifier.has_grown_beyond(chosen, 1.0 / 3.0)
     identifier.add(case.samples.select(slice(599, 600)))
-    assert identifier.outgrown(chosen, 1.0 / 3.0)
+    assert identifier.has_grown_beyond(chosen, 1.0 / 3.0)
 
 
 def test_with_forgetting_rows_are_outgrown_by_a_third_in_a_third_of_the_forgetting_time() -> None:
@@ -150,9 +150,9 @@ def test_with_forgetting_rows_are_outgrown_by_a_third_in_a_third_of_the_forgetti
     identifier = fed(replace(case, samples=case.samples.select(slice(2000))), forgetting_time=3.0)
     chosen = identifier.rows
     identifier.add(case.samples.select(slice(2000, 2099)))
-    assert not identifier.outgrown(chosen, 1.0 / 3.0)
+    assert not identifier.has_grown_beyond(chosen, 1.0 / 3.0)
     identifier.add(case.samples.select(slice(2099, 2103)))
-    assert identifier.outgrown(chosen, 1.0 / 3.0)
+    assert identifier.has_grown_beyond(chosen, 1.0 / 3.0)
 
 
 def test_forgetting_follows_a_payload_that_changes() -> None:

@@ -30,7 +30,7 @@ def posterior(covariance: FloatArray, seed: int = 0) -> Posterior:
         covariance=covariance,
         scales=ALL.scales,
         prior=parameters,
-        prior_spreads=np.ones(ALL.dimension),
+        prior_stds=np.ones(ALL.dimension),
     )
 
 

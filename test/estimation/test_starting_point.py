@@ -14,7 +14,7 @@ from geomid_ros.estimation.starting_point import (
     channel_sizes,
     first_sigmas,
     prior_parameters,
-    prior_spreads,
+    prior_stds_of,
     scales_of_coefficients,
 )
 from geomid_ros.estimation.summary import RowSummary
@@ -105,7 +105,7 @@ def test_a_given_prior_says_how_large_an_offset_is() -> None:
     given = np.full(case.model.dimension, np.nan)
     given[-1] = 0.7
     found = summary(case)
-    spreads = prior_spreads(
+    spreads = prior_stds_of(
         case.model, case.model.manifold(scales_of_coefficients(case.model, found)[case.model.positives :]), given
     )
     np.testing.assert_array_equal(spreads[-3:], [EffortOffset.prior_std_fraction] * 2 + [0.2])

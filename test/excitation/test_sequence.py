@@ -43,7 +43,7 @@ def error(parameters: FloatArray, true: FloatArray, motion: ExcitingMotion) -> f
 def test_a_sequence_learns_and_comes_to_an_end() -> None:
     random = np.random.default_rng(1)
     prior = TASK.knowledge
-    spreads = 0.5 * prior.posterior.prior_spreads
+    spreads = 0.5 * prior.posterior.prior_stds
     spreads[prior.posterior.manifold.inertial] = 0.2
     tangent = spreads * random.standard_normal(len(spreads))
     true = np.array(prior.posterior.manifold.exp(prior.posterior.point, tangent).parameters)

@@ -69,7 +69,7 @@ def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) 
             covariance=covariance @ covariance.T,
             scales=np.full(sum(e.value <= 0.0 for e in effects), 2.0),
             prior=parameters,
-            prior_spreads=np.full(len(parameters), 0.2),
+            prior_stds=np.full(len(parameters), 0.2),
         ),
         rows=np.eye(len(parameters)),
         targets=parameters,

@@ -197,7 +197,7 @@ def test_beside_a_drawing_alone_payloads_are_looked_for_at_all_links(monkeypatch
     monkeypatch.setattr(analysis, "_with_changed_link", lambda task, _: task)
     records: Any = SimpleNamespace(moving=np.ones((30, 3), dtype=bool))
     drawing = planted.prior()
-    identified = replace(drawing, known=OtherRecordings(np.zeros((1, 30)), np.zeros(1)))
+    identified = replace(drawing, other_recordings=OtherRecordings(np.zeros((1, 30)), np.zeros(1)))
     for prior, links in ((drawing, [0, 1, 2]), (identified, [2])):
         task: Any = analysis.analyse(planted.model(), records, prior, lambda *_: None)
         assert [c.payload for c in task.tried if c.payload is not None] == links
@@ -210,7 +210,7 @@ def test_a_link_may_have_been_changed_beside_names_and_in_the_place_of_a_payload
 ) -> None:
     """What is lighter now carries nothing, whatever else makes a payload likely."""
     known = OtherRecordings(1e2 * np.eye(10), np.zeros(10))
-    identified = replace(PRIOR, prior_std=0.05, certainty=100.0, identified=True, known=known)
+    identified = replace(PRIOR, prior_std=0.05, certainty=100.0, identified=True, other_recordings=known)
     recording, size = Recording(7, [PAYLOAD, VISCOUS]), 0.5 if VISCOUS in names else 0.0
     design = recording.design({VISCOUS.terms[0]: size}, 0.7 * LINK)
 

@@ -57,7 +57,7 @@ def said(found: JointFit, design: Design) -> OtherRecordings:
 
 def test_what_is_known_of_a_recording_counts_as_if_it_were_fitted_again() -> None:
     first, second, both = (fit(designed(*seeds), planted.prior(), [], prior_std=0.2) for seeds in ((7,), (8,), (7, 8)))
-    again = fit(designed(8), replace(planted.prior(), known=said(first, designed(7))), [], prior_std=0.2)
+    again = fit(designed(8), replace(planted.prior(), other_recordings=said(first, designed(7))), [], prior_std=0.2)
 
     def errors(found: JointFit) -> float:
         """Mean square of the distance from the fit to both, in its standard deviations."""
@@ -73,10 +73,10 @@ def test_what_is_known_is_trusted_as_far_as_it_agrees() -> None:
     """Recordings whose links seem others, by many times what their noise allows, had errors of the model."""
     first, second = designed(7, friction=0.0), designed(8, friction=0.0)
     known = said(fit(first, planted.prior(), [], prior_std=0.2), first)
-    agreeing = fit(second, replace(planted.prior(), known=known), [])
+    agreeing = fit(second, replace(planted.prior(), other_recordings=known), [])
     assert agreeing.inflation < 2.0
     shifted = OtherRecordings(known.rows, known.residuals + 100.0 * np.random.default_rng(5).standard_normal(30))
-    contradicting = fit(second, replace(planted.prior(), known=shifted), [])
+    contradicting = fit(second, replace(planted.prior(), other_recordings=shifted), [])
     assert contradicting.inflation > 1000.0
     alone = fit(second, planted.prior(), [])
     np.testing.assert_allclose(contradicting.squares, alone.squares, rtol=0.02)

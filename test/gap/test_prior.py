@@ -15,13 +15,13 @@ from .small import PRIOR, Recording, at
 
 RANDOM = np.random.default_rng(11)
 KNOWN = OtherRecordings(RANDOM.normal(scale=30.0, size=(12, 30)), RANDOM.normal(size=12))
-IDENTIFIED = replace(planted.prior(spread=0.05), certainty=100.0, known=KNOWN)
+IDENTIFIED = replace(planted.prior(spread=0.05), certainty=100.0, other_recordings=KNOWN)
 
 
 def squares(prior: Prior, off: np.ndarray) -> float:
     """Minus twice the logarithm of what other recordings say of links that are ``off`` the model, and of their cost."""
-    assert prior.known is not None
-    return float(np.sum((prior.known.residuals + prior.known.rows @ off) ** 2)) + prior.cost
+    assert prior.other_recordings is not None
+    return float(np.sum((prior.other_recordings.residuals + prior.other_recordings.rows @ off) ** 2)) + prior.cost
 
 
 @pytest.mark.parametrize("link", range(3))
@@ -55,7 +55,7 @@ def test_what_a_changed_link_costs_counts_in_the_score() -> None:
 
 
 def test_beside_no_other_recordings_no_link_has_been_changed_since() -> None:
-    alone = replace(IDENTIFIED, known=None)
+    alone = replace(IDENTIFIED, other_recordings=None)
     assert alone.with_changed(1) is alone
 
 
@@ -63,7 +63,7 @@ def test_without_other_recordings_each_effect_is_known_as_well_as_they_said() ->
     """By itself, the links' errors integrated out; and it may have changed since then."""
     rows, spreads, changes = RANDOM.normal(scale=2.0, size=(12, 32)), np.array([0.3, 5.0, 7.0]), np.array([0.1, 0.2])
     known = OtherRecordings(rows, np.zeros(12), changes)
-    prior = replace(IDENTIFIED, terms=("a", "b", "c"), values=np.ones(3), prior_stds=spreads, known=known)
+    prior = replace(IDENTIFIED, terms=("a", "b", "c"), values=np.ones(3), prior_stds=spreads, other_recordings=known)
     manifold = StraightManifold(3, 0, np.ones(0))
     jacobian = manifold.whiten(manifold.point(IDENTIFIED.inertias), np.eye(30))
     links = 0.05**2 * jacobian @ jacobian.T
@@ -72,6 +72,6 @@ def test_without_other_recordings_each_effect_is_known_as_well_as_they_said() ->
     gain = covariance @ rows.T @ np.linalg.inv(rows @ covariance @ rows.T + np.eye(12))
     then = np.diag(covariance - gain @ rows @ covariance)[30:]
     alone = prior.by_itself
-    assert alone.known is None
+    assert alone.other_recordings is None
     np.testing.assert_allclose(alone.prior_stds, np.append(np.sqrt(then + changes**2), spreads[2]), rtol=1e-8)
     assert alone.by_itself is alone

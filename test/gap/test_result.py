@@ -171,7 +171,7 @@ class TestPrior:
     def test_of_a_bare_urdf_everything_is_a_guess(self) -> None:
         prior = self.prior()
         np.testing.assert_array_equal(prior.inertias, MODEL.nominal_inertias)
-        assert (prior.prior_std, prior.certainty, prior.terms, prior.known) == (0.2, 20.0, (), None)
+        assert (prior.prior_std, prior.certainty, prior.terms, prior.other_recordings) == (0.2, 20.0, (), None)
 
     def test_what_was_identified_is_hardly_wrong(self) -> None:
         values = nominal()
@@ -180,7 +180,7 @@ class TestPrior:
         np.testing.assert_array_equal(prior.inertias[:10], values[:10])
         np.testing.assert_array_equal(prior.inertias[10:], MODEL.nominal_inertias[10:])
         assert (prior.prior_std, prior.certainty) == (0.05, 100.0)
-        assert prior.known is not None
+        assert prior.other_recordings is not None
 
     def test_effects_are_a_fiftieth_unsure_or_as_they_say_where_that_is_more(self) -> None:
         """Those of no size are none."""
@@ -200,10 +200,10 @@ class TestPrior:
         share = 0.01 * measured / velocity
         prior = self.prior(nominal(**{JOINTS[0]: 0.8 * share[0], JOINTS[1]: 1.2 * share[1]}))
         own = OtherRecordings(np.zeros((1, 32)), np.zeros(1), prior.prior_stds)
-        found = workflow._with_least_stds(BARE, records, replace(prior, known=own))
+        found = workflow._with_least_stds(BARE, records, replace(prior, other_recordings=own))
         np.testing.assert_allclose(found.prior_stds, [share[0], prior.prior_stds[1]], rtol=0.05)
-        assert found.known is not None
-        np.testing.assert_array_equal(found.known.changes, found.prior_stds)
+        assert found.other_recordings is not None
+        np.testing.assert_array_equal(found.other_recordings.changes, found.prior_stds)
 
     @pytest.mark.parametrize(("std", "expected"), [(0.0, 0.02), (0.001, 0.02), (0.02, 0.15), (np.inf, 0.02)])
     def test_an_effect_beside_the_coefficients_is_as_unsure_as_its_motion_says(
@@ -221,9 +221,9 @@ def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: py
     records = Records.make([TRAIN], planted.CUTOFF)
     information = OtherRecordings(np.eye(30), np.zeros(30))
     given = workflow._prior(BARE, INERTIAS.ravel(), None, information)
-    assert given.known is not None
+    assert given.other_recordings is not None
     terms = (EffectTerm(ViscousFriction(), AtJoint(1)), EffectTerm(CoulombFriction(), AtJoint(2)))
-    shown = replace(given, terms=terms, values=np.array([2.0, 0.001]), prior_stds=np.ones(2), known=None)
+    shown = replace(given, terms=terms, values=np.array([2.0, 0.001]), prior_stds=np.ones(2), other_recordings=None)
     asked = []
 
     def analyse(_: object, __: object, prior: workflow.Prior, ___: object) -> object:
@@ -232,9 +232,9 @@ def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: py
 
     monkeypatch.setattr(workflow, "analyse", analyse)
     prior = workflow._as_simulated(BARE, records, given, lambda *_: None)
-    assert [own.known for own in asked] == [None]
+    assert [own.other_recordings for own in asked] == [None]
     np.testing.assert_allclose(prior.inertias, INERTIAS.ravel())
-    assert (prior.terms, prior.known, prior.prior_std, prior.certainty) == (
+    assert (prior.terms, prior.other_recordings, prior.prior_std, prior.certainty) == (
         terms,
         None,
         given.prior_std,

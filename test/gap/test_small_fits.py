@@ -368,7 +368,7 @@ class TestOtherRecordings:
         rows, cost = known.present_rows(11, 10, {})
         done = OtherRecordings(rows[:, :-1], rows[:, -1], nothing)
         prior = replace(PRIOR, terms=(TERM,), values=nothing, prior_stds=np.ones(1))
-        scores = [fit(design, replace(prior, known=each), []).score for each in (known, done)]
+        scores = [fit(design, replace(prior, other_recordings=each), []).score for each in (known, done)]
         assert scores[0] - scores[1] == pytest.approx(cost)
         assert cost > 0.1
 

@@ -54,7 +54,7 @@ def test_it_is_expected_of_another_motion_as_far_as_it_says(seed: int) -> None:
     """What is not expected of another motion is as large as noise and the coefficients' covariance say."""
     given = unfitted(planted.prior(LINKS))
     records = Records.make([recorded(seed)], planted.CUTOFF)
-    problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), standing=standing())
+    problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), known_remainder=standing())
     residual = problem.residual({}, given)
     for channel, own in enumerate(problem.features):
         off, unsure = residual[:, channel] - own.known, np.einsum("ij,jk,ik->i", own.columns, own.unsure, own.columns)
@@ -83,7 +83,7 @@ def test_fewer_rows_than_features_tell_less_and_as_much_as_they_say() -> None:
     few, given = with_a_share(1.0 / 8.0), unfitted(planted.prior(LINKS))
     for seed in (2, 3):
         problem = LinearisedProblem(
-            MODEL, Records.make([recorded(seed)], planted.CUTOFF), total_model(MODEL, given), standing=few
+            MODEL, Records.make([recorded(seed)], planted.CUTOFF), total_model(MODEL, given), known_remainder=few
         )
         own, residual = problem.features[JOINT], problem.residual({}, given)[:, JOINT]
         unsure = np.einsum("ij,jk,ik->i", own.columns, own.unsure, own.columns)
@@ -133,7 +133,7 @@ def test_what_was_lacking_and_is_there_now_is_nothing_that_lacks() -> None:
     """The remainder is then what was expected, taken back; together they are next to nothing."""
     given = unfitted(planted.prior(LINKS))
     records = Records.make([planted.recording(planted.rigid(TRUE), 4, 30.0)], planted.CUTOFF)
-    problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), standing=standing())
+    problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), known_remainder=standing())
     design = problem.design({}, (Autoregression.white(),) * len(MODEL.channels))
     expected = float(np.sum(problem.expected[problem.valid[:, JOINT], JOINT] ** 2))
     assert given.remainders(design)[JOINT].power < 0.1 * expected
@@ -141,7 +141,9 @@ def test_what_was_lacking_and_is_there_now_is_nothing_that_lacks() -> None:
 
 def test_nothing_is_known_of_what_depends_on_time() -> None:
     records = Records.make([recorded(7)], planted.CUTOFF)
-    problem = LinearisedProblem(MODEL, records, total_model(MODEL, unfitted(planted.prior(LINKS))), standing=standing())
+    problem = LinearisedProblem(
+        MODEL, records, total_model(MODEL, unfitted(planted.prior(LINKS))), known_remainder=standing()
+    )
     for own in problem.features:
         of_time = np.array([name == "time" for name in own.depends_on])[own.block]
         assert own.mean is not None
@@ -162,7 +164,7 @@ def test_of_a_channel_that_told_nothing_nothing_is_known() -> None:
         MODEL,
         Records.make([recorded(2)], planted.CUTOFF),
         total_model(MODEL, unfitted(planted.prior(LINKS))),
-        standing=found,
+        known_remainder=found,
     )
     assert [own.mean is None for own in problem.features] == [c == JOINT for c in range(len(MODEL.channels))]
 

@@ -197,7 +197,7 @@ class TestNormal:
         detector = new_detector()
         for gaps in robot.judged(detector):
             opened = [gap for gap in gaps if gap.since is not None]
-            yield detector.judged, detector.unchanged_before([0]), opened[0] if opened else None
+            yield detector.searched_until, detector.unchanged_before([0]), opened[0] if opened else None
 
     @pytest.mark.parametrize("kind", ["coloured", "uneven"])
     def test_nothing_of_a_gap_is_kept_before_it_opens(self, kind: str) -> None:
@@ -233,7 +233,7 @@ class TestNormal:
         robot, detector = Robot(2), new_detector()
         robot.change()
         for _ in robot.judged(detector):
-            assert detector.unchanged_before([]) == detector.judged - LATE
+            assert detector.unchanged_before([]) == detector.searched_until - LATE
 
 
 class Imperfect(Robot):

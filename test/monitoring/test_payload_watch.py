@@ -87,7 +87,7 @@ class Arm:
             detector.add(begin, measured.stamps[part], replace(rows, **{k: v[part] for k, v in vars(rows).items()}))
             while detector.test():
                 pass
-            states.append(State(1e-9 * float(measured.stamps[part][-1]), watch.carried, detector.gaps))
+            states.append(State(1e-9 * float(measured.stamps[part][-1]), watch.payload, detector.gaps))
         return states
 
 

@@ -110,7 +110,9 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
 def test_changes_are_looked_for_as_soon_as_there_are_rows_enough(quiet: Watched) -> None:
     """Not at the end of a period: this one never ends."""
     quiet.feed()
-    wait_until(lambda: 5 * BLOCK < quiet.session.identifier.instants < quiet.worker.solver.detector.judged + BLOCK)
+    wait_until(
+        lambda: 5 * BLOCK < quiet.session.identifier.instants < quiet.worker.solver.detector.searched_until + BLOCK
+    )
 
 
 def test_an_error_while_publishing_costs_no_thread(busy: Watched) -> None:

@@ -106,7 +106,7 @@ class Working:
         """Take messages; the status once all that can be judged is."""
         self.take(items)
         self.final()
-        assert self.session.identifier.instants - self.worker.solver.detector.judged < BLOCK
+        assert self.session.identifier.instants - self.worker.solver.detector.searched_until < BLOCK
         return self.status()
 
     def take(self, items: list[Recorded]) -> None:

@@ -56,10 +56,10 @@ def test_with_the_prior_it_is_all_that_is_known(live: Session, estimate: Estimat
     known, unsaid = prior_information(identified_session(live, estimate))
     assert known is not None
     posterior = estimate.posterior
-    units = posterior.jacobian * posterior.prior_spreads
+    units = posterior.jacobian * posterior.prior_stds
     rows = known.rows @ units
     found = np.linalg.inv(rows.T @ rows + np.eye(len(units)))
-    values, vectors = np.linalg.eigh(posterior.covariance / np.outer(posterior.prior_spreads, posterior.prior_spreads))
+    values, vectors = np.linalg.eigh(posterior.covariance / np.outer(posterior.prior_stds, posterior.prior_stds))
     expected = (vectors * np.minimum(values, 1.0)) @ vectors.T  # no data make anything less sure
     np.testing.assert_allclose(found, expected, atol=2e-3)
     assert np.min(np.diag(expected)[30:]) < 0.5, "of some effects something is known"

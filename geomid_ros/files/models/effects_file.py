@@ -152,13 +152,13 @@ def tilted_gravity(gravity: FloatArray, effects: Iterable[KnownEffect]) -> Float
 
 
 def combined(effects: Iterable[KnownEffect]) -> list[KnownEffect]:
-    """Merge effects of the same kind at the same place; see :meth:`~geomid_ros.model.effects.Effect.together`."""
+    """Merge effects of the same kind at the same place; see :meth:`~geomid_ros.model.effects.Effect.combined`."""
     merged: dict[tuple[str, str], KnownEffect] = {}
     for effect in effects:
         key = effect.effect, effect.link or effect.joint
         parameters = effect.parameters
         if key in merged:
-            parameters = effect_class(effect.effect).together(merged[key].parameters, parameters)
+            parameters = effect_class(effect.effect).combined(merged[key].parameters, parameters)
         merged[key] = KnownEffect(effect.effect, effect.joint, effect.link, parameters)
     return list(merged.values())
 
@@ -183,7 +183,7 @@ def updated_effects(estimated: Sequence[KnownEffect], known: Sequence[KnownEffec
 def _refined(effect: KnownEffect, remaining: dict[tuple[str, str], KnownEffect]) -> KnownEffect:
     """Update an effect by its parts, which are removed from the ``remaining`` estimated effects."""
     estimated = {name: other.parameters for (name, joint), other in remaining.items() if joint == effect.joint}
-    parameters, others = effect_class(effect.effect).refined(effect.parameters, estimated)
+    parameters, others = effect_class(effect.effect).updated(effect.parameters, estimated)
     for name in estimated:
         del remaining[name, effect.joint]
     remaining |= {(name, effect.joint): KnownEffect(name, effect.joint, "", values) for name, values in others.items()}

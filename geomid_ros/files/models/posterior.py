@@ -238,7 +238,7 @@ def _check(posterior: Posterior) -> None:
         point = manifold.point(parameters)
         if not (np.all(np.linalg.eigvalsh(point.pseudo_inertias) > 0.0) and np.all(point.positives > 0.0)):
             raise InputError("holds a body or a coefficient that cannot exist")
-    if not (np.all(posterior.scales > 0.0) and np.all(posterior.prior_spreads > 0.0)):
+    if not (np.all(posterior.scales > 0.0) and np.all(posterior.prior_stds > 0.0)):
         raise InputError("holds a scale or a spread that is not greater than zero")
     covariance = posterior.covariance
     deviations = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))

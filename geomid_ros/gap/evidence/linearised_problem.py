@@ -36,7 +36,7 @@ def total_model(model: MeasurementModel, found: EffectsFit) -> TotalModel:
 
 
 class LinearisedProblem:
-    """Records under a model linearised at ``total``, given its known remainder (``standing``).
+    """Records under a model linearised at ``total``, given its known remainder (``known_remainder``).
 
     An absorbed effect (a tilt, delay or gain) is not added as a column: gravity is rotated, the efforts are shifted in
     time, the rows scaled. The target is changed so that the coefficients still mean the whole tilt, delay and gain.
@@ -48,10 +48,10 @@ class LinearisedProblem:
         records: Records,
         total: TotalModel,
         floor: FloatArray | None = None,
-        standing: KnownRemainder | None = None,
+        known_remainder: KnownRemainder | None = None,
     ) -> None:
         self.total = total
-        self.standing = standing
+        self.known_remainder = known_remainder
         self.floor = np.full(len(model.channels), np.inf) if floor is None else floor
         self.records = records.advanced(total.lag)
         gravity = total.gravity
@@ -131,7 +131,7 @@ class LinearisedProblem:
     @cached_property
     def features(self) -> list[Features]:
         """Features of each channel's remainder."""
-        channels, standing = range(len(self.model.channels)), self.standing
+        channels, standing = range(len(self.model.channels)), self.known_remainder
         basis = self.basis if standing is None else standing.basis
         by_channel = [features(self.model, self.records, self.situation, channel, basis) for channel in channels]
         return by_channel if standing is None else standing.beside(by_channel)
@@ -139,7 +139,7 @@ class LinearisedProblem:
     @property
     def expected(self) -> FloatArray:
         """Known remainder of the model ``(N, C)``."""
-        if self.standing is None:
+        if self.known_remainder is None:
             return np.zeros(self.rows.targets.shape)
         return np.stack([channel.known for channel in self.features], axis=1)
 

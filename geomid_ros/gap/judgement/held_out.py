@@ -105,7 +105,7 @@ class HeldOut:
         return self._times_floor(self._residual(found))
 
     def _problem(self, fit: EffectsFit) -> LinearisedProblem:
-        total, standing = total_model(self._model, fit), self._analysis.problem.standing
+        total, standing = total_model(self._model, fit), self._analysis.problem.known_remainder
         return LinearisedProblem(self._model, self._records, total, self._analysis.floor, standing)
 
     def _residual(self, fit: EffectsFit) -> FloatArray:

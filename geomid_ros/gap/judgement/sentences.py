@@ -115,7 +115,7 @@ def sentence(
         found, was = moment, {}
     terms = [
         f"{name} {_said(q)}" + (f" instead of {was[name]:.4g}" if name in was else "")
-        for name, q in list(found.items())[: effect.said_first]
+        for name, q in list(found.items())[: effect.stated_parameter_count]
     ]
     qualifier, text = _BEFORE[confidence], f"{effect.label}{where}: {', '.join(terms)} (95 % interval){untold}."
     return qualifier + text if qualifier else text[0].upper() + text[1:]

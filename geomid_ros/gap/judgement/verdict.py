@@ -69,13 +69,13 @@ def beside_remainder(
     """Widen the parameters' standard deviations by the effect of the remainder, and by their drift between motions."""
     effect, doubt = candidate.effect, np.hypot(analysis.supports[candidate].doubt, candidate.effect.drift)
     sizes = effect.sizes(parameters).items()
-    changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes}
+    changes = {name: abs(size.value - was.get(name, effect.absent_value)) for name, size in sizes}
     return parameters | {n: replace(q, std=float(np.hypot(q.std, doubt * changes[n]))) for n, q in sizes}
 
 
 def probability_by_size(candidate: Candidate, parameters: Mapping[str, Quantity], was: Values) -> float:
     """Largest probability of a named effect with these sizes, against being unchanged, or nothing."""
-    sizes, nothing = candidate.effect.sizes(parameters), candidate.effect.nothing
+    sizes, nothing = candidate.effect.sizes(parameters), candidate.effect.absent_value
     main = {"mass": sizes["mass"]} if "mass" in sizes else sizes
     squares = [((size.value - was.get(name, nothing)) / size.std) ** 2 for name, size in main.items() if size.std > 0.0]
     return probability_of_square(max(squares, default=np.inf))
@@ -221,4 +221,6 @@ def _centre(change: FloatArray, covariance: FloatArray) -> dict[str, Quantity]:
 def with_given_spreads(prior: EffectsPrior, inflation: float) -> EffectsPrior:
     """Return a prior for comparing the scores of fits with given prior std: these cost nothing, and other recordings
     keep the trust that the fit found."""
-    return replace(prior, certainty=0.0, known=prior.known and prior.known.inflated(inflation))
+    return replace(
+        prior, certainty=0.0, other_recordings=prior.other_recordings and prior.other_recordings.inflated(inflation)
+    )

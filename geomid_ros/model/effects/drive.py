@@ -88,9 +88,9 @@ class Spring(JointEffect):
         return by_part
 
     @classmethod
-    def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
+    def updated(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
         """Keep the spring's equilibrium, and remove the spring's offset from the estimated one."""
-        updated, others = super().refined(known, found)
+        updated, others = super().updated(known, found)
         if not {cls.name, EffortOffset.name} <= found.keys() or "equilibrium" not in updated:
             return updated, others
         offset = others[EffortOffset.name]["offset"]

@@ -48,7 +48,7 @@ class Effect(ABC):
         parameters: names, units and ranges of its parameters: those of the coefficients, then those of the constants.
         settled_by: recording that distinguishes it from rival effects.
         place: kind of place where it acts.
-        said_first: number of parameters that a sentence states; None for all.
+        stated_parameter_count: number of parameters that a sentence states; None for all.
     """
 
     name: ClassVar[str]
@@ -57,7 +57,7 @@ class Effect(ABC):
     parameters: ClassVar[tuple[ParameterForm, ...]]
     settled_by: ClassVar[str]
     place: ClassVar[PlaceKind] = "joint"
-    said_first: ClassVar[int | None] = None
+    stated_parameter_count: ClassVar[int | None] = None
 
     def __eq__(self, other: object) -> bool:
         """True for the same effect with the same constants."""
@@ -154,7 +154,7 @@ class Effect(ABC):
         return self.parameters[first : first + self.count]
 
     @property
-    def nothing(self) -> float:
+    def absent_value(self) -> float:
         """Value of its sizes when the effect is absent."""
         return 1.0 if self.scales_measurement else 0.0
 
@@ -241,7 +241,7 @@ class Effect(ABC):
         return {instance: tuple(values[form.name] for form in instance.own)}
 
     @classmethod
-    def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
+    def updated(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
         """Update its parameters with the estimates at its place.
 
         Args:
@@ -257,7 +257,7 @@ class Effect(ABC):
         return {**known, **updated}, {name: other for name, other in found.items() if name != cls.name}
 
     @classmethod
-    def together(cls, first: Quantities, second: Quantities) -> Quantities:
+    def combined(cls, first: Quantities, second: Quantities) -> Quantities:
         """Combine the parameters of two at one place into one; ``second`` was found in addition to ``first``."""
         if not cls.adds_up:
             return second

@@ -60,7 +60,7 @@ class CoulombFriction(JointEffect):
         ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),
         SMOOTHING,
     )
-    said_first = 1
+    stated_parameter_count = 1
     default_constant = SMOOTHING.name
     settled_by = "slow motion of this joint, back and forth at several constant speeds"
     drift = FRICTION_DRIFT
@@ -122,7 +122,7 @@ class StribeckFriction(JointEffect):
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
         SMOOTHING,
     )
-    said_first = 3
+    stated_parameter_count = 3
     default_constant = SMOOTHING.name
     settled_by = "this joint at several constant speeds, from creeping to fast"
     drift = FRICTION_DRIFT
@@ -180,11 +180,11 @@ class StribeckFriction(JointEffect):
         return by_part
 
     @classmethod
-    def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
+    def updated(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
         """Take the estimated Coulomb friction as the level."""
         if not {cls.name, CoulombFriction.name} <= found.keys():
             return known, found
-        updated, others = super().refined(known, found)
+        updated, others = super().updated(known, found)
         level = others[CoulombFriction.name]
         return {**updated, **level}, {name: other for name, other in others.items() if other is not level}
 

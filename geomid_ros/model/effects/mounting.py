@@ -74,7 +74,7 @@ class CarriedBody(Effect):
         *(ParameterForm(name, ("m", "m"), urdf=_URDF, mjcf=_MJCF) for name in COM_ENTRIES),
         *(ParameterForm(name, ("kg m^2", "kg m^2"), optional=True, urdf=_URDF, mjcf=_MJCF) for name in INERTIA_NAMES),
     )
-    said_first = 4
+    stated_parameter_count = 4
     settled_by = "the same motion with and without the payload, or a wrench sensor that carries the link"
     place = "link"
     confusable_with_payload = True

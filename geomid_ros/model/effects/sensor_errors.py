@@ -77,7 +77,7 @@ class EffortGain(SituationEffect):
         return {cls(): (values["gain"] - 1.0,)}
 
     @classmethod
-    def together(cls, first: Quantities, second: Quantities) -> Quantities:
+    def combined(cls, first: Quantities, second: Quantities) -> Quantities:
         """Multiply the gains."""
         return {"gain": second["gain"].scaled(first["gain"].value)}
 
