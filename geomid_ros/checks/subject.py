@@ -135,7 +135,7 @@ class Subject:
     def in_units(self, units: FloatArray) -> Subject:
         """Return the subject with channels in ``units (C,)`` instead of the standard deviations of its efforts."""
         other = self.with_efforts(self.measured)
-        other.__dict__["spread"] = units
+        other.__dict__["measured_std"] = units
         return other
 
     def with_samples(self, samples: Samples) -> Subject:

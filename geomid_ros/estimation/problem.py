@@ -25,7 +25,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 # Cached properties of a problem that do not depend on its known rows.
 _OF_ROWS = (
-    *("default_stds", "manifold", "scales", "prior_spreads", "prior", "prior_point"),
+    *("default_stds", "manifold", "scales", "prior_stds", "prior", "prior_point"),
     *("products", "row_weights", "counts", "least_sigmas"),
 )
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from types import ModuleType
 
+native: ModuleType | None
 try:
-    native: ModuleType | None = import_module("geomid_ros.geometry._native")
+    from geomid_ros.geometry import _native as native
 except ImportError:
     native = None

@@ -136,7 +136,10 @@ class Rounds:
         monkeypatch.setattr(analysis, "_typical_size", lambda *_: None)
         monkeypatch.setattr(analysis, "total_model", lambda *_: None)
         self.problem = SimpleNamespace(
-            residual=lambda *_: 0.0, remainder=lambda *_: 0.0, valid=None, told_floor=lambda _: (None, np.array(told))
+            residual=lambda *_: 0.0,
+            remainder=lambda *_: 0.0,
+            valid=None,
+            identifiable_floor=lambda _: (None, np.array(told)),
         )
         self.channels = len(told)
 
@@ -217,7 +220,7 @@ def test_a_link_may_have_been_changed_beside_names_and_in_the_place_of_a_payload
     def analysed(prior: EffectsPrior, *found: Candidate) -> analysis.Analysis:
         search = Selection(design, prior, [PAYLOAD, VISCOUS])
         unused: Any = None
-        fits = {"bare": search.fit([]), "names": search.fit(found)}
+        fits = {"bare": search.fit([]), "effects": search.fit(found)}
         return analysis.Analysis(problem=unused, search=search, supports={}, floor=np.ones(2), **fits)
 
     beside = [c for c in names if c is not PAYLOAD]

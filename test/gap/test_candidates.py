@@ -155,7 +155,7 @@ def test_on_legs_no_name_depends_on_loads_but_friction() -> None:
 
 def test_a_model_with_effects_of_loads_is_refused_on_legs() -> None:
     """By the name of the effect, before anything is fitted."""
-    loaded = SimpleNamespace(beside_coefficients=[1], not_predicted="m.json: effort_gain of elbow: not predicted")
+    loaded = SimpleNamespace(situational_effects=[1], not_predicted="m.json: effort_gain of elbow: not predicted")
     session: Any = SimpleNamespace(model=SimpleNamespace(legs=True), loaded=loaded)
     unused: Any = None
     with pytest.raises(InputError, match=r"effort_gain of elbow.*leave them out of the model"):

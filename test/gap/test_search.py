@@ -172,7 +172,7 @@ def test_a_name_that_turns_all_columns_ends_a_search_unless_it_is_the_last() -> 
 
     class Turning(type(VISCOUS.effect)):  # type: ignore[misc]
         name = "turning"
-        far = (0.01,)
+        relinearise_beyond = (0.01,)
 
     turning = at(Turning(), 1)
     one = search({turning: [1.0], VISCOUS: [STRONG]}, among=[VISCOUS, turning])

@@ -496,7 +496,13 @@ def test_known_dry_friction_drives_no_joint(excess: float, known: str | None) ->
     recording = Recording(4, [stribeck, VISCOUS])
     design = recording.design({level: 1.0, own: excess})
     others = OtherRecordings(np.random.default_rng(1).normal(scale=3.0, size=(8, 10)), np.zeros(8)) if known else None
-    wide = {"inertias": LINK, "spread": 0.2, "certainty": 4.0, "known": others, "held": passivity_constraints}
+    wide = {
+        "inertias": LINK,
+        "prior_std": 0.2,
+        "certainty": 4.0,
+        "other_recordings": others,
+        "constraints": passivity_constraints,
+    }
     found = fit(design, Prior(terms=(level, own), values=np.ones(2), prior_stds=np.full(2, 1e3), **wide), [])
     if excess > -1.0:
         assert found.value(own) == pytest.approx(excess, abs=0.05)

@@ -230,7 +230,7 @@ def test_a_gain_of_all_joints_is_no_payload() -> None:
         planted.recording(lambda q, v, a: 1.12 * rigid(q, v, a), seed, seconds)
         for seed, seconds in ((52, 30.0), (1052, 15.0))
     ]
-    known = {"nominal": before.parameters, "known": said(before)}
+    known = {"nominal": before.parameters, "previous": said(before)}
     result = find_gap(planted.model(), robot[:1], robot[1:], **known)
     gains = {f.joint: f.parameters["gain"] for f in result.findings if f.effect == "effort_gain"}
     assert set(gains) == set(JOINTS)

@@ -85,8 +85,8 @@ def test_a_search_is_told_what_the_estimate_lacked(
     """The second gear ripples, the others do not."""
     told: list[KnownRemainder | None] = []
 
-    def search(*_: object, standing: KnownRemainder | None, **__: object) -> None:
-        told.append(standing)
+    def search(*_: object, known_remainder: KnownRemainder | None, **__: object) -> None:
+        told.append(known_remainder)
         raise InputError("not searched")
 
     monkeypatch.setattr(gap, "find_gap", search)

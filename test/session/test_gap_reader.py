@@ -52,7 +52,7 @@ def test_the_highest_cutoff_is_one_that_every_part_of_a_recording_allows() -> No
 
 def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept of a long one to find a delay depends on how much comes at once."""
-    monkeypatch.setattr("geomid_ros.model.samples.PIECE", 100)
+    monkeypatch.setattr("geomid_ros.model.samples.SAMPLES_PER_PIECE", 100)
     judged: list[int] = []
     monkeypatch.setattr(session.review.check, "add", lambda samples: judged.append(len(samples)))
     found = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).read(())

@@ -92,7 +92,7 @@ def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session
     held = [planted.recording(efforts(loaded=True), 1073, 15.0, **SMALL)]
 
     def sure(known: OtherRecordings | None, deviations: FloatArray) -> list[Finding]:
-        given = {"nominal": own.prior, "deviations": deviations, "known": known}
+        given = {"nominal": own.prior, "deviations": deviations, "previous": known}
         return list(find_gap(own.model, train, held, **given).sure)
 
     (payload,) = sure(*prior_information(own))

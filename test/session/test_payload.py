@@ -70,7 +70,7 @@ def test_on_the_trunk_it_is_known_no_better_than_the_robots_mass(monkeypatch: py
     recordings = [recording(1, False)], [recording(1, True)]
     own, share = session(), 0.02
     link = own.model.body_names[-1]
-    monkeypatch.setattr(Session, "share_of_mass", share)
+    monkeypatch.setattr(Session, "relative_mass_std", share)
     known = weigh(own, *recordings, link)
     own.robot.tree = replace(own.robot.tree, root=link)
     found = weigh(own, *recordings, link)

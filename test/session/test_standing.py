@@ -79,7 +79,7 @@ def test_of_a_robot_with_an_imu_the_total_mass_is_known_no_better_than_gravity()
         ),
         prior=np.append(inertias, 7.0),
         model=SimpleNamespace(body_names=[]),
-        share_of_mass=0.01,
+        relative_mass_std=0.01,
     )
     found, _ = prior_information(own)
     assert found is not None

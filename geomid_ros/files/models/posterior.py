@@ -36,7 +36,7 @@ FORMAT = 2
 SAME = 1e-6
 """Relative tolerance between the same number in two files, of which one has fewer digits."""
 _HEADER = "posterior"
-_VECTORS = ("parameters", "prior", "prior_spreads")
+_VECTORS = {"parameters": "parameters", "prior": "prior", "prior_spreads": "prior_stds"}  # by their names in the file
 _MOST_PARAMETERS = 2000
 T = TypeVar("T")
 
@@ -60,7 +60,8 @@ def write_posterior(path: Path, posterior: Posterior, remainder: KnownRemainder 
         ],
         "effects": to_document(posterior.effects),
     }
-    arrays = {name: getattr(posterior, name) for name in (*_VECTORS, "scales", "covariance")}
+    arrays = {"scales": posterior.scales, "covariance": posterior.covariance}
+    arrays |= {name: getattr(posterior, attribute) for name, attribute in _VECTORS.items()}
     if remainder is not None and _size_of(remainder) < 8 * _MOST_PARAMETERS**2 and not _objection(remainder):
         header["remainder"] = {"joints": remainder.joints, "channels": remainder.channels}
         arrays |= _arrays_of(remainder)
@@ -225,7 +226,7 @@ def _posterior(arrays: _Arrays, header: _Header) -> Posterior:
         effects=effects,
         covariance=_numbers(arrays, "covariance", (size, size)),
         scales=_numbers(arrays, "scales", (len(effects) - positives,)),
-        **{name: _numbers(arrays, name, (size,)) for name in _VECTORS},
+        **{attribute: _numbers(arrays, name, (size,)) for name, attribute in _VECTORS.items()},
     )
     _check(posterior)
     return posterior
