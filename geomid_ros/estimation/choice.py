@@ -105,9 +105,7 @@ def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
 def _without_unbelieved(fit: CoefficientFit) -> CoefficientFit:
     """Remove the optional effects that are not significant, the least significant first."""
     while len(fit.chosen):
-        squares = fit.possible * np.max(
-            [start.squares_of(fit.chosen) for start in (fit, fit.with_default_priors)], axis=0
-        )
+        squares = fit.possible * fit.squares_of(fit.chosen)
         if np.min(squares) > SIGNIFICANT_STDS**2:
             break
         fit = fit.rows.fit(np.setdiff1d(fit.all_columns, fit.chosen[np.argmin(squares)]), fit)

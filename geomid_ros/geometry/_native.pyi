@@ -1,5 +1,4 @@
-"""Compiled from ``native/``; its numpy twins document the arguments."""
-
 from typing import Any
 
+# Compiled from native/; its twins in numpy document the arguments.
 def __getattr__(name: str) -> Any: ...
