@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.judgement import verdict
 from geomid_ros.gap.judgement.held_out import located, share, strongest
 from geomid_ros.gap.judgement.sentences import sentence, settled_by
 from geomid_ros.gap.judgement.written import _with_sentence
@@ -268,3 +270,20 @@ def test_what_a_force_plate_measures_counts_while_joints_stand_still() -> None:
     assert not model.layout.efforts
     assert np.all(records.usable(model, targets))
     assert not np.any(records.usable(planted.model(), targets[:, :3])[:, JOINT])
+
+
+@pytest.mark.parametrize(
+    ("curvature", "std"), [(8.0, np.sqrt(2.0 / 8.0 + np.log(2.0) ** 2 / 12.0)), (-8.0, 1.0), (0.5, 1.0)]
+)
+def test_the_std_of_a_grid_constant_is_that_of_a_parabola_widened_by_the_steps(curvature: float, std: float) -> None:
+    """The score is minus twice a Gaussian's log, over constants a factor of two apart. At a maximum the std is 1."""
+    names: list[Any] = [
+        SimpleNamespace(effect=SimpleNamespace(grid_value=value), group="one", known=False) for value in (0.1, 0.2, 0.4)
+    ]
+    search = SimpleNamespace(
+        hypotheses=names,
+        fit=lambda chosen, _: SimpleNamespace(score=0.5 * curvature * np.log(chosen[-1].effect.grid_value / 0.25) ** 2),
+    )
+    analysis: Any = SimpleNamespace(search=search, effects=SimpleNamespace(chosen=[names[1]]))
+    assert verdict._scanned_std(analysis, names[1]) == pytest.approx(std)
+    assert verdict._scanned_std(analysis, names[0]) == 1.0  # at the edge of the grid

@@ -169,7 +169,7 @@ def run() -> None:
     plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
     plant(SignalPipeline, "_use", {"messages fail": of_wrenches(fail)})
     plant(Worker, "_take", {"intake stands still": standing_still, "machine slow": as_a_slow_machine})
-    plant(Worker, "take", {"callback fails": with_wrenches(fail), "callback shuts down": with_wrenches(shut_down)})
+    plant(Worker, "enqueue", {"callback fails": with_wrenches(fail), "callback shuts down": with_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
     plant(saving, "save", {"saving fails": fail})

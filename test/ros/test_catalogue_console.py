@@ -337,7 +337,7 @@ class Slow:
         self.estimate = estimate
         self.saved: list[Any] = []
 
-    def final_estimate(self, done: Any) -> None:
+    def request_estimate(self, done: Any) -> None:
         """Takes for ever."""
 
     def save(self, _: Any, folder: Path, estimate: Any) -> list[Path]:

@@ -54,7 +54,7 @@ class Listened:
         node: Any = SimpleNamespace(
             create_publisher=lambda *_: publisher,
         )
-        inputs: Any = SimpleNamespace(waiting=self._take)
+        inputs: Any = SimpleNamespace(poll=self._take)
         self.streaming = Streaming(node, inputs, self.logged.append)
 
     def _take(self, topic: str | None = None) -> list[Received]:

@@ -301,7 +301,7 @@ def standing_still(watched: Watched) -> Iterator[None]:
         stop.wait(PATIENCE)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(watched.worker.solver, "ask", stand_still)
+        patch.setattr(watched.worker.solver, "request", stand_still)
         watched.worker.request_estimate(lambda _: None)
         assert waiting.wait(PATIENCE)
     try:
