@@ -46,7 +46,7 @@ from geomid_ros.simulation.description import LinkInertia, body_of, pseudo_inert
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import RandomStream, generator
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.recording import closed_loop
+from geomid_ros.simulation.recording import control_loop
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import BoolArray, FloatArray
@@ -161,7 +161,7 @@ class Robot:
         self.robot = build_robot(self.options)
         self.joints = tuple(self.robot.plant.joints)
         self.limits = np.array([joint.effort for joint in self.robot.joints])
-        controller = closed_loop(self.robot, self.options).controller
+        controller = control_loop(self.robot, self.options).controller
         self.stiffness, self.damping = _SOFTER * controller.stiffness, np.sqrt(_SOFTER) * controller.damping
         self.urdf = robot_description(options.robot)
         self.session = robot_to_move(FillOptions(force=True), bag.with_name(f"{bag.name}_estimate") / "estimate.json")

@@ -36,7 +36,7 @@ from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.effects.physics import TrueEffect
 from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import Hidden, SimulationOptions
-from geomid_ros.simulation.recording import closed_loop, record, write_truth
+from geomid_ros.simulation.recording import control_loop, record, write_truth
 from geomid_ros.simulation.robot import TrueRobot, build_robot
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
@@ -103,7 +103,9 @@ class Arm:
             _FOLDER.mkdir(parents=True, exist_ok=True)
             robot = build_robot(self.options)
             true = (
-                record(robot, closed_loop(robot, self.options), self.options) if self._simulated else self._moved(robot)
+                record(robot, control_loop(robot, self.options), self.options)
+                if self._simulated
+                else self._moved(robot)
             )
             write_bag(bag, robot.published(true, self.options), robot.plant.joints, robot.nominal.text, self.options)
             robot = replace(robot, effects=(*robot.effects, *self._dry(robot)))

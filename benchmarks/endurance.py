@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.feedforward import described
 from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import FillOptions
-from geomid_ros.control.correction import SHORTEST, Adaptation, needed, share_of
+from geomid_ros.control.correction import SHORTEST, Adaptation, removed_fraction, shortest_change
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.model.samples import ACCELERATION_PER_SPEED, SAMPLES_PER_PIECE, random_states
 from geomid_ros.simulation.robots import robot_description
@@ -42,7 +42,7 @@ def endure(name: str, seconds: float, heaviest: float, folder: Path) -> Endured:
     )
     rows_of, identified = efforts.of_body(robot.body_names[-1])
     adaptation, noise = Adaptation(identified, heaviest), 0.01 * efforts.limits[:, None]
-    share, fastest = share_of(_STEP, SHORTEST), np.full(len(robot.joints), _FASTEST)
+    share, fastest = removed_fraction(_STEP, SHORTEST), np.full(len(robot.joints), _FASTEST)
     steps, moved, impossible, least = round(seconds / _STEP), 0, 0, np.inf
     for begin in range(0, steps, SAMPLES_PER_PIECE):
         count = min(SAMPLES_PER_PIECE, steps - begin)
@@ -50,7 +50,7 @@ def endure(name: str, seconds: float, heaviest: float, folder: Path) -> Endured:
         sizes = 10.0 ** rng.uniform(*_SIZES, (count, 1))
         for motion, errors in zip(states.swapaxes(0, 1), sizes * rng.normal(size=(count, len(fastest))), strict=True):
             before = adaptation.point
-            adaptation.step(share * needed(before, rows_of(motion) / noise, errors))
+            adaptation.step(share * shortest_change(before, rows_of(motion) / noise, errors))
             smallest, *_, largest = np.linalg.eigvalsh(adaptation.point.pseudo_inertias[0])
             moved += adaptation.point is not before
             impossible += not smallest > 0.0

@@ -31,7 +31,7 @@ from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import RandomStream, generator
 from geomid_ros.simulation.realistic import build_realistic
-from geomid_ros.simulation.recording import closed_loop, sampling
+from geomid_ros.simulation.recording import control_loop, sampling
 from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot, build_robot, run
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
@@ -121,7 +121,7 @@ def errors(robot_name: str, seed: int, realistic: bool, folder: Path, seconds: f
     estimate = geomid_ros.identify(bag).save(bag.with_name(f"{bag.name}_estimate"), report=False)[0]
     other = replace(options, motion_seed=seed + _OTHER_MOTION, duration=seconds / 3.0)
     robot = build_realistic(other) if realistic else build_robot(other)
-    loop = closed_loop(robot, other)
+    loop = control_loop(robot, other)
     times = np.arange(0.0, other.duration + 0.5 * _POINTS, _POINTS)
     motion = exciting_motion(times, robot.joints, other, generator(other.recording_seed, RandomStream.MOTION))
     plain = Trajectory(robot.plant.joints, times, motion.position, motion.velocity, motion.acceleration)

@@ -33,8 +33,8 @@ from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.fleet.fleet import Cluster
-from geomid_ros.fleet.kept import Store, summarise, total
 from geomid_ros.fleet.recordings import find_bags
+from geomid_ros.fleet.summary_store import Store, sum_of_summaries, summarise
 from geomid_ros.fleet.work import FleetPlan, summarise_bag
 from geomid_ros.model.channels import Channel
 from geomid_ros.session.configuration import Configuration
@@ -58,7 +58,7 @@ _MOST = 600.0  # [s] for a run
 _ALONE = """
 import sys
 from geomid_ros.fleet.recordings import find_bags
-from geomid_ros.fleet.kept import Store
+from geomid_ros.fleet.summary_store import Store
 from geomid_ros.fleet.work import summarise_bag
 store, plan, folder, first, warm = Store(sys.argv[1]), sys.argv[2], sys.argv[3], int(sys.argv[4]), int(sys.argv[5])
 bags = find_bags(folder)
@@ -84,11 +84,13 @@ def sums(report: Report, folder: Path) -> None:
     separate = [summarise(text, str(_URDF), configuration, Bags(fitted=[Path(url)]))[1] for url in bags]
     one = _products(of(bags), session.model.channels)
     orders = [separate, separate[::-1], [separate[index] for index in (3, 0, 5, 1, 4, 2)]]
-    differences = [_difference(_products(total(each).fitted.summary, session.model.channels), one) for each in orders]
+    differences = [
+        _difference(_products(sum_of_summaries(each).fitted.summary, session.model.channels), one) for each in orders
+    ]
     among = max(
         _difference(
-            _products(total(each).fitted.summary, session.model.channels),
-            _products(total(separate).fitted.summary, session.model.channels),
+            _products(sum_of_summaries(each).fitted.summary, session.model.channels),
+            _products(sum_of_summaries(separate).fitted.summary, session.model.channels),
         )
         for each in orders
     )

@@ -12,7 +12,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect, joint_of
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.simulation.description import read_description

@@ -20,7 +20,7 @@ from benchmarks.problem import Problem, Rows
 from benchmarks.report import Report
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray

@@ -23,7 +23,7 @@ from geomid_ros.estimation.starting_point import (
     scales_of_coefficients,
 )
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session

@@ -31,7 +31,7 @@ from geomid_ros.api.identify import Identification
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import LinkEstimate
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, numbers, sizes
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, quantities_and_moments, sizes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.simulation import WRIST_FRAME, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description
@@ -98,7 +98,7 @@ def judged(seed: int) -> Iterator[Number]:
     for link in found.links:
         parts = [part for part in (link.name, *link.merged) if part in bodies]
         true = _sum([(bodies[part], found.session.robot.fixed_placement(part, link.name)) for part in parts])
-        errors = np.abs(numbers(link.parameters) - numbers(true)) / sizes(true)
+        errors = np.abs(quantities_and_moments(link.parameters) - quantities_and_moments(true)) / sizes(true)
         for name, error, known in zip(_NAMES, errors.tolist(), _known(link), strict=True):
             usable = found.verdict.word == USABLE
             yield Number(seed, options.realistic, options.robot, link.name, name, error, known, usable)

@@ -45,8 +45,8 @@ def leaves(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 @each
 def test_it_is_valid_as_it_is_and_with_what_it_shows(path: Path, tmp_path: Path) -> None:
-    shown = Configuration.read(in_force(path, tmp_path)).given
-    assert Configuration.read(path).given.keys() <= shown.keys()
+    shown = Configuration.read(in_force(path, tmp_path)).given_values
+    assert Configuration.read(path).given_values.keys() <= shown.keys()
     assert shown
 
 

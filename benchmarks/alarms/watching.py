@@ -39,7 +39,7 @@ def watched(urdf: str, messages: Iterable[tuple[float, Received]], solve_period:
             worker.enqueue(batch)
             _wait(worker)
             status = worker.status(active=True)
-            yield Watched(end, status.gaps, status.carried)
+            yield Watched(end, status.gaps, status.payload)
 
 
 def _batches(messages: Iterable[tuple[float, Received]]) -> Iterator[tuple[float, list[Received]]]:
@@ -58,8 +58,8 @@ def _wait(worker: Worker) -> None:
     """Until all is taken, and all rows are judged."""
     begin, session = time.monotonic(), worker.session
     detector = worker.solver.detector
-    while worker.status(active=True).queue > session.pipeline.held or (
-        session.identifier.instants - detector.searched_until >= PART
+    while worker.status(active=True).queue > session.pipeline.waiting_count or (
+        session.identifier.sample_count - detector.searched_until >= PART
     ):
         if time.monotonic() - begin > _PATIENCE:
             raise RuntimeError(f"not judged within {_PATIENCE:g} s: {worker.status(active=True).failures}")

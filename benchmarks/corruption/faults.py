@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from benchmarks.corruption.recording import ARM3, JOINTS, SOURCES, Recording
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, IntArray
 

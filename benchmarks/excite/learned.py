@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks.excite.robots import Recorded, identified, predicted_error, recorded, task, truth, wish
 from benchmarks.report import Report
+from geomid_ros.excitation.belief import Belief, aim_weight, belief_from_estimate
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import Belief, belief_from_estimate, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, typical_motions
 from geomid_ros.session.excitation import DesignTask
@@ -28,9 +28,9 @@ def against_random(report: Report, robots: list[str], seconds: float, truths: in
         report.progress(f"{robot}: {_RANDOM} random motions")
         own = task(robot, wish(robot, seconds))
         random = np.random.default_rng(1)
-        weight = _weight(own, own.knowledge, random)
+        weight = _weight(own, own.belief, random)
         motions = [random_feasible(own.feasibility, own.form, random) for _ in range(_RANDOM)]
-        errors = [_expected(own.knowledge, weight, motion) for motion in motions]
+        errors = [_expected(own.belief, weight, motion) for motion in motions]
         designed = _designed(own, weight, random)
         tried = {
             "random": [motions[0]],
@@ -40,11 +40,11 @@ def against_random(report: Report, robots: list[str], seconds: float, truths: in
             "designed, twice": [designed, designed],
         }
         others = [random_feasible(own.feasibility, own.form, random) for _ in range(_OTHERS)]
-        found = {name: _errors(own.knowledge, parts, others, truths) for name, parts in tried.items()}
+        found = {name: _errors(own.belief, parts, others, truths) for name, parts in tried.items()}
         means = {name: float(np.mean(values)) for name, values in found.items()}
         ratios.append(means["designed"] / means["best of 60"])
         sure = np.std(np.array(found["designed"]) / np.array(found["best of 60"])) / np.sqrt(truths)
-        foretold = _expected(own.knowledge, weight_of("prediction", own.knowledge, others), designed)
+        foretold = _expected(own.belief, aim_weight("prediction", own.belief, others), designed)
         rows.append(
             [robot, *(f"{mean:.3f}" for mean in means.values()), f"{ratios[-1]:.2f} ± {sure:.2f}", f"{foretold:.3f}"]
         )
@@ -56,7 +56,7 @@ def against_random(report: Report, robots: list[str], seconds: float, truths: in
 
 def _weight(own: DesignTask, knowledge: Belief, random: np.random.Generator) -> FloatArray:
     others = typical_motions(own.feasibility, own.form, random, _EXPECTED)
-    return weight_of("prediction", knowledge, others)
+    return aim_weight("prediction", knowledge, others)
 
 
 def _designed(own: DesignTask, weight: FloatArray, random: np.random.Generator) -> ExcitingMotion:
@@ -64,7 +64,7 @@ def _designed(own: DesignTask, weight: FloatArray, random: np.random.Generator) 
 
 
 def _expected(knowledge: Belief, weight: FloatArray, motion: ExcitingMotion) -> float:
-    after = knowledge.after(knowledge.information(motion))
+    after = knowledge.updated(knowledge.information(motion))
     return float(np.sqrt(np.sum(weight * after.posterior.covariance)))
 
 
@@ -92,23 +92,23 @@ def after_poor_data(report: Report, robots: list[str], seconds: float, truths: i
     for robot in robots:
         own = task(robot, wish(robot, seconds))
         random = np.random.default_rng(2)
-        generic = _designed(own, _weight(own, own.knowledge, random), random)
+        generic = _designed(own, _weight(own, own.belief, random), random)
         more = [random_feasible(own.feasibility, own.form, random) for _ in range(_MORE)]
         others = [random_feasible(own.feasibility, own.form, random) for _ in range(_OTHERS)]
         found = []
         for seed in range(truths):
             report.progress(f"{robot}: truth {seed}")
             draw = np.random.default_rng(seed)
-            true = truth(own.knowledge, draw)
+            true = truth(own.belief, draw)
             poor = _pick_and_place(own, true, draw)
             feasible = _knowing(own, poor.knowledge)
             designed = _designed(feasible, _weight(own, poor.knowledge, random), random)
-            errors = [_error_after(own.knowledge, [poor.recording], true, others)]
+            errors = [_error_after(own.belief, [poor.recording], true, others)]
             for motions in (more, [generic], [designed]):
                 recordings = [
-                    recorded(own.knowledge, motion, true, np.random.default_rng([seed, 1])) for motion in motions
+                    recorded(own.belief, motion, true, np.random.default_rng([seed, 1])) for motion in motions
                 ]
-                each = [_error_after(own.knowledge, [poor.recording, r], true, others) for r in recordings]
+                each = [_error_after(own.belief, [poor.recording, r], true, others) for r in recordings]
                 errors.append(float(np.mean(each)))
             found.append(errors)
         means = np.mean(found, axis=0)
@@ -136,10 +136,10 @@ def _pick_and_place(own: DesignTask, true: FloatArray, random: np.random.Generat
     keep[form.waves :] = 1.0
     small = motion.scaled(keep)
     feasible = own.feasibility.shrunk_to_feasible(small.scaled(0.5 * own.feasibility.largest_scale(small)))
-    recording = recorded(own.knowledge, feasible, true, random)
-    found = identified(own.knowledge, [recording])
+    recording = recorded(own.belief, feasible, true, random)
+    found = identified(own.belief, [recording])
     return _Poor(
-        recording, belief_from_estimate(own.knowledge.model, found.posterior, own.knowledge.sigmas.tolist(), "estimate")
+        recording, belief_from_estimate(own.belief.model, found.posterior, own.belief.sigmas.tolist(), "estimate")
     )
 
 
@@ -147,4 +147,4 @@ def _knowing(own: DesignTask, knowledge: Belief) -> DesignTask:
     """The task of one who knows that."""
     before = own.feasibility
     feasibility = Feasibility(knowledge, before.limits, before.start, before.collision)
-    return replace(own, knowledge=knowledge, feasibility=feasibility)
+    return replace(own, belief=knowledge, feasibility=feasibility)

@@ -12,11 +12,11 @@ import numpy as np
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
+from geomid_ros.excitation.belief import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.model.samples import samples_of
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.excitation import DesignTask, task_of
+from geomid_ros.session.excitation import DesignTask, design_task
 from geomid_ros.session.options import MotionOptions
 from geomid_ros.types import FloatArray
 
@@ -61,7 +61,7 @@ def task(robot: str, asked: MotionOptions) -> DesignTask:
     """What a search needs."""
     own = description(robot)
     configuration = Configuration({"locked_joints": list(own.locked)}, "benchmark")
-    return task_of(own.text, own.path, configuration, asked)
+    return design_task(own.text, own.path, configuration, asked)
 
 
 def truth(prior: Belief, random: np.random.Generator) -> FloatArray:

@@ -16,14 +16,14 @@ import numpy as np
 
 from benchmarks.excite.robots import SPREAD, task, wish
 from benchmarks.report import Report
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
+from geomid_ros.excitation.belief import ROWS_PER_SECOND
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, discriminating_motion, responses
 from geomid_ros.excitation.search import random_feasible
 from geomid_ros.model.effects import OnLink, joints_of
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import samples_of
-from geomid_ros.session.excitation import DesignTask, open_questions
+from geomid_ros.session.excitation import DesignTask, rival_effects
 from geomid_ros.types import FloatArray
 
 ROBOTS = ("panda", "ur10")
@@ -83,9 +83,9 @@ def _outcomes(own: DesignTask, case: Case, folder: Path) -> list[tuple[list[str]
     found = []
     for true_is_found in (True, False):
         row = [case.found if true_is_found else case.rival]
-        row += [f"{judge.least(designed):.1f}", f"{judge.least(others[1]):.1f}"]
+        row += [f"{judge.smallest_difference(designed):.1f}", f"{judge.smallest_difference(others[1]):.1f}"]
         outcome, scores = {}, []
-        times = int(np.clip(np.ceil(DECIDED / judge.least(designed)), 1, MOST))
+        times = int(np.clip(np.ceil(DECIDED / judge.smallest_difference(designed)), 1, MOST))
         for kind, motion in (("designed", designed), ("random", others[1])):
             scores.append(_score(own, judge, case, _repeated(motion, times), true_is_found))
             outcome[kind] = 0 if scores[-1] > SURE else 2 if scores[-1] < -SURE else 1
@@ -105,7 +105,7 @@ def _sized(own: DesignTask, case: Case, others: list[ExcitingMotion], folder: Pa
         middle = 0.5 * (low + high)
         judge = _judge(own, case, float(np.exp(middle)), folder)
         judge.prepare(others[0].scaled(0.5))
-        open_still = np.median([judge.least(other) for other in others]) < LEFT
+        open_still = np.median([judge.smallest_difference(other) for other in others]) < LEFT
         low, high = (middle, high) if open_still else (low, middle)
     return judge
 
@@ -126,7 +126,7 @@ def _judge(own: DesignTask, case: Case, factor: float, folder: Path) -> Discrimi
     finding = {"effect": case.found, "joint": place(case.at), "parameters": parameters, "rivals": rivals}
     path = folder / "gap.json"
     path.write_text(json.dumps({"format": 1, "findings": [finding], "floor": {}}), encoding="utf-8")
-    return open_questions(own.feasibility, path)[0]
+    return rival_effects(own.feasibility, path)[0]
 
 
 def _score(
@@ -134,11 +134,11 @@ def _score(
 ) -> float:
     """By how much the score of what is true is better: -2 log p with a penalty for each coefficient."""
     random = np.random.default_rng([1, true_is_found])
-    model, sigmas = own.knowledge.model.without_effects(), own.knowledge.sigmas
+    model, sigmas = own.belief.model.without_effects(), own.belief.sigmas
     manifold = model.manifold(np.zeros(0))
     nominal = manifold.point(model.nominal_inertias)
     inertias = np.array(manifold.exp(nominal, SPREAD * random.standard_normal(len(model.nominal_inertias))).parameters)
-    dispute, (variant, imitation) = judge.disputes[0], judge.imitations[0, 0]
+    dispute, (variant, imitation) = judge.ambiguities[0], judge.imitations[0, 0]
     rival = dispute.rivals[0]
     name, coefficients = (case.found, dispute.coefficients) if true_is_found else (case.rival, imitation)
     effect = dispute.found.variants[0] if true_is_found else rival.variants[variant]

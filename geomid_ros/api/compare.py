@@ -15,8 +15,8 @@ from geomid_ros.api.robot import identified_urdf_path
 from geomid_ros.api.verify import read_test_samples, reasons_for_doubt
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.comparison import Difference, RobotValues, compared
-from geomid_ros.exports.model import Model, read_model
+from geomid_ros.estimation.comparison import Difference, RobotValues, compare_robots
+from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.exports.payload import Summand, total
 from geomid_ros.files.models.effects_file import coefficients_of
 from geomid_ros.files.models.estimate_file import EstimateFile
@@ -118,7 +118,7 @@ def compare(options: CompareOptions) -> Comparison:
     return Comparison(
         first=str(first),
         second=str(second),
-        compared=compared(values[0], values[1]),
+        compared=compare_robots(values[0], values[1]),
         errors=errors,
         judged_on=data,
         doubts=list(dict.fromkeys(doubts)),
@@ -127,7 +127,7 @@ def compare(options: CompareOptions) -> Comparison:
     )
 
 
-_Side: TypeAlias = EstimateFile | Model
+_Side: TypeAlias = EstimateFile | ExportModel
 """One side of a comparison: a result, or a URDF."""
 
 
@@ -139,7 +139,7 @@ def _robot(side: _Side) -> str:
     return side.robot or (read_xml(read_urdf(urdf), str(urdf)).get("name", "") if urdf.is_file() else "")
 
 
-def _urdf_values(model: Model, result: EstimateFile) -> RobotValues:
+def _urdf_values(model: ExportModel, result: EstimateFile) -> RobotValues:
     """Return the values of a URDF for the bodies of a result, with zero standard deviations.
 
     Raises:

@@ -69,5 +69,5 @@ def robot_to_excite(options: MotionOptions) -> tuple[DescribedRobot, Configurati
 
 def designed_motion(robot: DescribedRobot, known: Configuration, options: MotionOptions) -> MotionDesign:
     """Design a motion by the options for a ``robot`` and its configuration ``known``."""
-    task = excitation.task_of(robot.text, Path(robot.source), known, options)
+    task = excitation.design_task(robot.text, Path(robot.source), known, options)
     return MotionDesign(excitation.design(task, options))

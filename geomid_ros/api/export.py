@@ -13,15 +13,15 @@ from geomid_ros.api.robot import entries
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, described
 from geomid_ros.exports.formats import CONTROLLERS, JSON
-from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.exports.patch_mjcf import patch_user_mjcf
-from geomid_ros.exports.payload import Export, attached, chosen, difference, each_link
+from geomid_ros.exports.payload import Export, attached, difference, each_link, sum_of_links
 from geomid_ros.exports.posterior_samples import (
     DrawnRobots,
     TorqueSpread,
     descriptions_of,
-    draw_robots,
     ranges_text,
+    sample_robots,
     torque_spread,
 )
 from geomid_ros.files.disk import write_text
@@ -57,7 +57,7 @@ def export(options: ExportOptions) -> Exported:
     reader = "" if tool in CONTROLLERS else tool if options.into is None else EXISTING_MJCF
     own = read_model(Path(options.model), reader)
     reference = None if options.without is None else read_model(Path(options.without))
-    doubts = tuple(each.doubt for each in (own, reference) if each is not None and each.doubt)
+    doubts = tuple(each.warning for each in (own, reference) if each is not None and each.warning)
     if doubts and not options.force:
         raise InputError(f"{doubts[0]}; mend that, or export it with --force")
     if tool in CONTROLLERS:
@@ -87,19 +87,19 @@ def _check(options: ExportOptions) -> None:
         raise InputError("frame is missing: in the axes of which link is the payload wanted?")
 
 
-def _whole(model: Model, options: ExportOptions) -> DescriptionFiles:
+def _whole(model: ExportModel, options: ExportOptions) -> DescriptionFiles:
     if options.into is not None:
         return patch_user_mjcf(model, Path(options.into))
     return described(model, options.tool, each_link(model), options.package_path or {})
 
 
-def _payload(model: Model, frame: str, links: Texts | None, reference: Model | None) -> Export:
+def _payload(model: ExportModel, frame: str, links: Texts | None, reference: ExportModel | None) -> Export:
     if reference is not None:
         return difference(model, reference, frame)
-    return attached(model, frame) if links is None else chosen(model, entries("links", links), frame)
+    return attached(model, frame) if links is None else sum_of_links(model, entries("links", links), frame)
 
 
-def _flange(model: Model, ending: str) -> str:
+def _flange(model: ExportModel, ending: str) -> str:
     """Return the one link whose name ends like the flange of the manufacturer's URDF, with any prefix."""
     matches = [link for link in model.tree.links if link.endswith(ending)]
     if len(matches) != 1:
@@ -175,4 +175,4 @@ def sample(options: SampleOptions) -> SampledRobots:
     if options.tool not in (*DESCRIBED_FOR, JSON):
         raise unknown_name("reader", options.tool, (*DESCRIBED_FOR, JSON))
     check_into(options.tool, options.into)
-    return SampledRobots(draw_robots(Path(options.model), options.count, options.seed, options.spread), options)
+    return SampledRobots(sample_robots(Path(options.model), options.count, options.seed, options.spread), options)

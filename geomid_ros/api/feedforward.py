@@ -86,7 +86,7 @@ def fill_efforts(session: Session, given: Trajectory, tolerance: float, source: 
     result = with_efforts(given, efforts, tolerance)
     _check_limits(result, efforts.limits, source)
     errors = np.max(interpolation_errors(result, efforts), axis=0)
-    notes = tuple(filter(None, [session.loaded.doubt, session.loaded.not_predicted]))
+    notes = tuple(filter(None, [session.loaded.warning, session.loaded.not_predicted]))
     return Feedforward(result, len(given.times), session, efforts.limits, errors, notes)
 
 
@@ -106,8 +106,8 @@ def robot_to_move(options: FillOptions, model: PathLike | None) -> Session:
         _check_model(options, EstimateFile.read(Path(model)))
     robot = description(options, [], model)
     session = Session(robot.text, configuration(options, model, candidates=[]), robot.source)
-    if session.loaded.doubt and not options.force:
-        raise InputError(f"{session.loaded.doubt}; to move a robot by it all the same, add --force")
+    if session.loaded.warning and not options.force:
+        raise InputError(f"{session.loaded.warning}; to move a robot by it all the same, add --force")
     return session
 
 

@@ -30,7 +30,7 @@ from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.series import elapsed
 from geomid_ros.resimulation.resimulate import Resimulated
-from geomid_ros.session.gap import GapReader, find, gap_session, standing_of
+from geomid_ros.session.gap import GapReader, find_gap_in_samples, gap_session, known_remainder_of
 from geomid_ros.session.options import PathLike
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
@@ -106,7 +106,7 @@ class Gap:
         stamps = self.result.trace.stamps
         document |= page_entries(self.result, nominal_inertias(session)) | {
             "robot": session.robot.name,
-            "recordings": [path.name for path, _ in self.bags.shares],
+            "recordings": [path.name for path, _ in self.bags.held_out_fractions],
             "judged_seconds": float(elapsed(stamps)[-1]) if len(stamps) else 0.0,
             "known": to_document(session.loaded.effects),
             "not_simulated": self.not_simulated,
@@ -205,16 +205,16 @@ def find_gap(options: GapOptions) -> Gap:
     )
     session.review.settled.extend(note for note in notes if note not in session.review.settled)
     session.review.check_description()
-    if session.loaded.source and not session.loaded.fitted:
+    if session.loaded.source and not session.loaded.fitted_models:
         session.review.settled.append(
             f"{session.loaded.source}: has no fits for description formats: what is written has the estimate's own "
             "inertias; identify again from bags to have them"
         )
     reader = GapReader(session, recorded, options.progress)
-    sharp = reader.sharp()
-    commands = reader.sharp(options.command) if options.command else []
+    sharp = reader.high_cutoff_samples()
+    commands = reader.high_cutoff_samples(options.command) if options.command else []
     try:
-        result = find(session, samples, standing_of(session), options.progress)
+        result = find_gap_in_samples(session, samples, known_remainder_of(session), options.progress)
     except InputError as error:
         raise InputError(f"{', '.join(map(str, recorded.fitted))}: {error}") from error
     options.progress("simulating again", 0.0)

@@ -116,7 +116,7 @@ class Identification:
         Raises:
             InputError: the reader rejects it.
         """
-        return self.written.judged(self.judged, self.rms)
+        return self.written.evaluate(self.judged, self.rms)
 
     @cached_property
     def train(self) -> Sequence[Samples]:
@@ -243,9 +243,9 @@ class Identification:
             "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
             "files": [
                 [f"{self.session.robot.source} (SHA-256 {urdf})", "robot"],
-                *([str(path), _recording(share)] for path, share in self.bags.shares),
+                *([str(path), _recording(share)] for path, share in self.bags.held_out_fractions),
             ],
-            "configuration": self.session.configuration.given,
+            "configuration": self.session.configuration.given_values,
         }
         return self.document | {"origin": origin}
 

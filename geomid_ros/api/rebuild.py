@@ -11,7 +11,7 @@ from jinja2 import TemplateError
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile
-from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
+from geomid_ros.files.models.gap_file import ErrorsByStage, GapFile, read_gap
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.result_pages import write_identification_page
@@ -72,7 +72,7 @@ def _needed(path: Path, command: str) -> Iterator[None]:
 
 def _simulated(file: GapFile) -> list[Resimulated]:
     """Return the errors of the resimulations in the file, without their motions."""
-    kinds: list[tuple[Kind, Errors | None]] = [("windows", file.resimulated), ("closed_loop", file.closed_loop)]
+    kinds: list[tuple[Kind, ErrorsByStage | None]] = [("windows", file.resimulated), ("closed_loop", file.closed_loop)]
     return [
         Resimulated(kind=kind, before=errors["before"], after=errors["after"])
         for kind, errors in kinds

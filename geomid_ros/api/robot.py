@@ -129,7 +129,7 @@ def configuration(options: DescriptionOptions, model: PathLike | None = None, **
     result = _base(options.config)
     if options.wrench:
         result = result.with_sensors([WrenchSensor.parse(text) for text in texts(options.wrench)])
-    return result.with_values(Configuration(overrides, "options").given)
+    return result.with_values(Configuration(overrides, "options").given_values)
 
 
 def _set_by(options: Options) -> dict[str, Any]:

@@ -113,7 +113,7 @@ def read_test_samples(
     recorded = Bags(fitted=bag_paths(bags), hold_out=0.0, topics=topics(options))
     robot = description(options, recorded.fitted, model)
     parameters = configuration(options, model, effects=[*effects], candidates=[])
-    if cutoff is not None and "filter.cutoff" not in parameters.given:
+    if cutoff is not None and "filter.cutoff" not in parameters.given_values:
         parameters = parameters.with_values({"filter.cutoff": float(cutoff)})
     checked = check_command_efforts(options, parameters)
     return robot.read(Session, checked, lambda session: read_fitted(session, recorded, options.progress))
@@ -121,7 +121,7 @@ def read_test_samples(
 
 def reasons_for_doubt(session: Session) -> list[str]:
     """Return reasons not to trust a model or the recordings that it was tested on."""
-    return [*filter(None, [session.loaded.doubt]), *recording_verdict(session.review.findings).reasons]
+    return [*filter(None, [session.loaded.warning]), *recording_verdict(session.review.findings).reasons]
 
 
 def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) -> dict[str, Values]:

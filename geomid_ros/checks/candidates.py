@@ -13,12 +13,12 @@ from types import EllipsisType
 
 import numpy as np
 
-from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
-from geomid_ros.checks.instants import FEWEST
-from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
-from geomid_ros.inference.probability import shares
+from geomid_ros.inference.probability import posterior_probabilities
 from geomid_ros.types import FloatArray, IntArray
 
 PROBABLE = 0.9
@@ -38,19 +38,19 @@ class CandidateFit:
     """Evaluation of a recording with a candidate undone.
 
     Attributes:
-        log: log evidence of the measured numbers.
+        log_evidence: log evidence of the measured numbers.
         sigmas: ``(C,)`` of the residuals, in standard deviations of the measured channels.
         estimates, deviations: ``(k,)`` sizes that were estimated with it, and their standard deviations.
     """
 
-    log: float
+    log_evidence: float
     sigmas: FloatArray
     estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
     def of_corrected(
-        mended: Subject, units: FloatArray, found: Evidence | None = None, **estimated: FloatArray
+        corrected: EffortData, units: FloatArray, found: Evidence | None = None, **estimated: FloatArray
     ) -> CandidateFit:
         """Evaluate a corrected subject.
 
@@ -60,45 +60,45 @@ class CandidateFit:
             found: its evidence in these units, by default without further unknowns.
             **estimated: see :class:`CandidateFit`.
         """
-        found = mended.in_units(units).nominal if found is None else found
-        return CandidateFit(log=found.log, sigmas=found.sigmas, **estimated)
+        found = corrected.in_units(units).nominal if found is None else found
+        return CandidateFit(log_evidence=found.log_evidence, sigmas=found.sigmas, **estimated)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Candidate:
+class FaultCandidate:
     """A possible fault.
 
     Attributes:
         cause: its cause, or a function of the estimates that makes it.
-        concerned: the channels that it changes, all by default.
-        read: reads a subject with the candidate undone; also ranks the candidates of a row.
-        undo: evaluates a subject with the candidate undone, where another reading is not enough.
+        channels: the channels that it changes, all by default.
+        corrected: reads a subject with the candidate undone; also ranks the candidates of a row.
+        fit_corrected: evaluates a subject with the candidate undone, where another reading is not enough.
         sizes: ``(C,)`` factors on efforts then.
         sources: ``(C,)`` the measured channel of each evaluated one.
-        alone: True if it may be named; otherwise it only explains what others would be named for.
-        settled: True if other knowledge than the evidence settles it.
-        changes: True if it begins during the recording: then alternate stretches of time are its parts.
+        may_be_named: True if it may be named; otherwise it only explains what others would be named for.
+        needs_no_evidence: True if other knowledge than the evidence settles it.
+        begins_during_recording: True if it begins during the recording: then alternate stretches of time are its parts.
     """
 
     cause: Cause | Callable[[CandidateFit], Cause]
-    concerned: Sequence[int] | EllipsisType = ...
-    read: Callable[[Subject], Subject] | None = None
-    undo: Callable[[Subject], CandidateFit] | None = None
+    channels: Sequence[int] | EllipsisType = ...
+    corrected: Callable[[EffortData], EffortData] | None = None
+    fit_corrected: Callable[[EffortData], CandidateFit] | None = None
     sizes: FloatArray | float = 1.0
     sources: IntArray | EllipsisType = ...
-    alone: bool = True
-    settled: bool = False
-    changes: bool = False
+    may_be_named: bool = True
+    needs_no_evidence: bool = False
+    begins_during_recording: bool = False
 
-    def resemblance(self, few: Subject) -> float:
-        """Resemblance of the reading and the prediction, see :attr:`Subject.resemblance`."""
-        return np.inf if self.read is None else self.read(few).resemblance
+    def resemblance(self, few: EffortData) -> float:
+        """Resemblance of the reading and the prediction, see :attr:`EffortData.resemblance`."""
+        return np.inf if self.corrected is None else self.corrected(few).resemblance
 
-    def judged(self, subject: Subject) -> CandidateFit:
+    def evaluate(self, subject: EffortData) -> CandidateFit:
         """Evaluate a subject with the candidate undone."""
-        if self.undo is not None:
-            return self.undo(subject)
-        read = subject if self.read is None else self.read(subject)
+        if self.fit_corrected is not None:
+            return self.fit_corrected(subject)
+        read = subject if self.corrected is None else self.corrected(subject)
         return CandidateFit.of_corrected(read, self.sizes * subject.measured_std[self.sources])
 
 
@@ -106,22 +106,22 @@ class Candidate:
 class CandidateTest:
     """A candidate that was evaluated on a subject."""
 
-    candidate: Candidate
-    subject: Subject
-    judged: CandidateFit
+    candidate: FaultCandidate
+    subject: EffortData
+    fit: CandidateFit
     cause: Cause
 
     @staticmethod
-    def of(candidate: Candidate, subject: Subject) -> CandidateTest:
+    def of(candidate: FaultCandidate, subject: EffortData) -> CandidateTest:
         """Evaluate a candidate."""
-        judged = candidate.judged(subject)
+        judged = candidate.evaluate(subject)
         cause = candidate.cause
         return CandidateTest(candidate, subject, judged, cause if isinstance(cause, Cause) else cause(judged))
 
     @property
     def gain(self) -> float:
         """Gain of log evidence per sample [nats]."""
-        return (self.judged.log - self.subject.nominal.log) / len(self.subject.samples)
+        return (self.fit.log_evidence - self.subject.nominal.log_evidence) / len(self.subject.samples)
 
     @property
     def name(self) -> tuple[str, tuple[str, ...]]:
@@ -133,51 +133,53 @@ class CandidateTest:
         return not set(self.cause.places).isdisjoint(place for other in others for place in other.cause.places)
 
     @property
-    def believed(self) -> bool:
+    def is_accepted(self) -> bool:
         """True if it repeats and explains no channel worse, or is settled."""
-        if self.candidate.settled:
+        if self.candidate.needs_no_evidence:
             return True
-        better = self.better[self.candidate.concerned]
+        better = self.channel_gains[self.candidate.channels]
         return -float(np.sum(better, where=better < 0.0)) <= LEAST_SIGMA * self.gain and self.repeats
 
     @property
-    def better(self) -> FloatArray:
+    def channel_gains(self) -> FloatArray:
         """Gain of each channel per sample [nats] ``(C,)``."""
-        return np.asarray(np.log(self.subject.nominal.sigmas[self.candidate.sources] / self.judged.sigmas))
+        return np.asarray(np.log(self.subject.nominal.sigmas[self.candidate.sources] / self.fit.sigmas))
 
     @cached_property
     def repeats(self) -> bool:
         """True if every part of the recording supports it, with sizes of one sign."""
-        return all(self._repeats(part) for part in self.subject.parts(alternating=self.candidate.changes))
+        return all(
+            self._repeats(part) for part in self.subject.split(alternating=self.candidate.begins_during_recording)
+        )
 
-    def _repeats(self, part: Subject) -> bool:
-        judged = self.candidate.judged(part)
-        differences = np.abs(judged.estimates - self.judged.estimates)
+    def _repeats(self, part: EffortData) -> bool:
+        judged = self.candidate.evaluate(part)
+        differences = np.abs(judged.estimates - self.fit.estimates)
         # Noise that correlates with friction makes sizes less certain than their deviations: signs have to agree.
-        allowed = np.maximum(np.abs(self.judged.estimates), STDS_OF_95 * judged.deviations)
-        return judged.log > part.nominal.log and bool(np.all(differences <= allowed))
+        allowed = np.maximum(np.abs(self.fit.estimates), STDS_OF_95 * judged.deviations)
+        return judged.log_evidence > part.nominal.log_evidence and bool(np.all(differences <= allowed))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Decision:
+class FaultDecision:
     """Decision among candidates.
 
     Attributes:
         finding: what is wrong; None if nothing is.
-        doubted: causes that are probable, but not believed, the most probable first.
+        unconfirmed: causes that are probable, but not believed, the most probable first.
         count: number of causes that were tried.
         sigmas: ``(C,)`` of the residuals with the finding undone, in standard deviations of the measured channels.
-        level: cause that is only remarked on, if it is probable.
+        remarked_cause: cause that is only remarked on, if it is probable.
     """
 
-    finding: Finding | None
-    doubted: Sequence[CandidateTest]
+    finding: RecordingFault | None
+    unconfirmed: Sequence[CandidateTest]
     count: int
     sigmas: FloatArray
-    level: Cause | None
+    remarked_cause: Cause | None
 
 
-def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Decision:
+def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> FaultDecision:
     """Choose the most probable cause that repeats, or one that is settled, with its rivals.
 
     It is certain unless several other places explain as much. If a probable cause does not repeat, nothing else is
@@ -190,26 +192,32 @@ def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Dec
     """
     ordered = sorted(tried, key=lambda one: -one.gain)
     above = {one: probabilities([one.gain], count)[0] > PROBABLE for one in ordered}
-    probable = [one for one in ordered if above[one] and one.candidate.alone]
+    probable = [one for one in ordered if above[one] and one.candidate.may_be_named]
     doubted = _doubted(probable)
-    unshared = [one for one in ordered if not one.candidate.alone or not one.shares_joints(doubted)]
+    unshared = [one for one in ordered if not one.candidate.may_be_named or not one.shares_joints(doubted)]
     likely = _most_probable(unshared, count)
-    causes = [one for one in likely if one in probable][:1] + [one for one in ordered if one.candidate.settled]
+    causes = [one for one in likely if one in probable][:1] + [
+        one for one in ordered if one.candidate.needs_no_evidence
+    ]
     # A cause common to all joints precedes one for each.
     best = max(causes, key=lambda one: len(one.cause.places), default=None)
-    level = next((one.cause for one in ordered if above[one] and one.cause.settings and not one.candidate.alone), None)
+    level = next(
+        (one.cause for one in ordered if above[one] and one.cause.settings and not one.candidate.may_be_named), None
+    )
     if best is None:
-        return Decision(finding=None, doubted=doubted, count=count, sigmas=nominal.sigmas, level=level)
+        return FaultDecision(
+            finding=None, unconfirmed=doubted, count=count, sigmas=nominal.sigmas, remarked_cause=level
+        )
     if best not in likely:  # a settled cause needs no evidence: any that has some is its rival
         likely = [*{one.name: one for one in reversed(probable)}.values()]
     rivals = [one for one in likely if one.name != best.name]
-    elsewhere = {one.cause.places for one in rivals if one.believed} - {best.cause.places}
-    sure = best.candidate.settled or len(elsewhere) <= 1
-    finding = Finding(cause=best.cause, sure=sure, rivals=tuple(one.cause for one in rivals) if sure else ())
-    return Decision(finding=finding, doubted=(), count=count, sigmas=best.judged.sigmas, level=level)
+    elsewhere = {one.cause.places for one in rivals if one.is_accepted} - {best.cause.places}
+    sure = best.candidate.needs_no_evidence or len(elsewhere) <= 1
+    finding = RecordingFault(cause=best.cause, sure=sure, rivals=tuple(one.cause for one in rivals) if sure else ())
+    return FaultDecision(finding=finding, unconfirmed=(), count=count, sigmas=best.fit.sigmas, remarked_cause=level)
 
 
-def contradicted(doubted: Iterable[CandidateTest], count: int) -> tuple[Finding, ...]:
+def contradicted(doubted: Iterable[CandidateTest], count: int) -> tuple[RecordingFault, ...]:
     """Report an unknown fault if a repeating cause is probable on the joints whose efforts count on this robot. It may
     explain other joints worse, or be hidden by a cause that does not repeat. Whatever it is, a correct recording does
     not explain these efforts.
@@ -219,11 +227,11 @@ def contradicted(doubted: Iterable[CandidateTest], count: int) -> tuple[Finding,
         count: number of causes that they are chosen from.
     """
     for one in doubted:
-        counts = (one.better > 0.0) & one.subject.counts
-        is_probable = probabilities([float(np.sum(one.better[counts]))], count)[0] > PROBABLE
+        counts = (one.channel_gains > 0.0) & one.subject.has_large_efforts
+        is_probable = probabilities([float(np.sum(one.channel_gains[counts]))], count)[0] > PROBABLE
         if is_probable and one.repeats:
             names = [one.subject.names[channel] for channel in np.flatnonzero(counts)]
-            return (Finding(cause=Cause.of("unexplained", names, nearest=one.cause.sentence)),)
+            return (RecordingFault(cause=Cause.of("unexplained", names, nearest=one.cause.sentence)),)
     return ()
 
 
@@ -231,7 +239,7 @@ def _doubted(probable: Sequence[CandidateTest]) -> list[CandidateTest]:
     """Causes more probable than the first believed one: not believed, or on joints of a more probable doubted one."""
     doubted: list[CandidateTest] = []
     for one in probable:
-        if one.believed and not one.shares_joints(doubted):
+        if one.is_accepted and not one.shares_joints(doubted):
             break
         doubted.append(one)
     return doubted
@@ -254,4 +262,4 @@ def probabilities(gains: Sequence[float], count: int) -> FloatArray:
         gains: of log evidence per sample ``(k,)``.
         count: number of causes that were tried.
     """
-    return shares(-2.0 * np.append(FEWEST * np.array(gains), np.log(count)))
+    return posterior_probabilities(-2.0 * np.append(FEWEST * np.array(gains), np.log(count)))

@@ -93,8 +93,8 @@ class Cause:
         places: Sequence[str],
         settings: Mapping[str, Any] | None = None,
         *,
-        said: str = "",
-        every: bool = False,
+        sentence_key: str = "",
+        all_joints: bool = False,
         **values: Any,
     ) -> Cause:
         """Create a cause with the sentence of its kind.
@@ -103,26 +103,26 @@ class Cause:
             kind: key of the sentences, or another word.
             places: names of joints.
             settings: the parameters that correct it.
-            said: key of the sentence, if it is not the kind's.
-            every: True if these are all joints.
+            sentence_key: key of the sentence, if it is not the kind's.
+            all_joints: True if these are all joints.
             **values: of the sentence's other fields.
         """
         quoted = [f"'{place}'" for place in places]
         values |= {
             "joints": ", ".join(quoted),
-            "efforts": "the efforts of all joints are" if every else f"the effort of joint {', '.join(quoted)} is",
+            "efforts": "the efforts of all joints are" if all_joints else f"the effort of joint {', '.join(quoted)} is",
             "both": " and ".join(quoted),
             "first": quoted[0] if quoted else "",
             "second": quoted[-1] if quoted else "",
-            "settings": written(settings or {}),
+            "settings": format_settings(settings or {}),
             "advice": "Fix that and record again" if values.get("when") == BIT_BY_BIT else _APART,
         }
-        sentence = _SENTENCES[said or kind].format(**values)
+        sentence = _SENTENCES[sentence_key or kind].format(**values)
         return Cause(kind=kind, sentence=sentence, settings=settings or {}, places=tuple(places))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class RecordingFault:
     """A fault of a recording.
 
     Attributes:
@@ -144,20 +144,20 @@ class Finding:
         return f"{self.cause.sentence}; or: {others}" if others else self.cause.sentence
 
 
-def written(settings: Mapping[str, Any]) -> str:
+def format_settings(settings: Mapping[str, Any]) -> str:
     """Format parameters as in a configuration."""
     return ", ".join(f"{name}: {value}" for name, value in settings.items())
 
 
-def gain_settings(joints: Sequence[str], gains: Iterable[float], every: bool) -> dict[str, Any]:
+def gain_settings(joints: Sequence[str], gains: Iterable[float], all_joints: bool) -> dict[str, Any]:
     """Return the parameters that set the gains of joints.
 
     Args:
         joints: their names.
         gains: factors from messages' efforts to N m.
-        every: True if these are all joints.
+        all_joints: True if these are all joints.
     """
     rounded = [float(f"{gain:.3g}") for gain in gains]
-    if every and len(set(rounded)) == 1:
+    if all_joints and len(set(rounded)) == 1:
         return {"effort_gain": rounded[0]}
     return {f"joint.{joint}.effort_gain": gain for joint, gain in zip(joints, rounded, strict=True)}

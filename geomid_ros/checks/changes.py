@@ -13,22 +13,22 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, STEP, TILT, Candidate, CandidateFit
+from geomid_ros.checks.baseline_fit import EvidenceGain, by_channel
+from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, STEP, TILT, CandidateFit, FaultCandidate
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
+from geomid_ros.checks.effort_data import STRETCHES, EffortData
 from geomid_ros.checks.evidence import MOST, SPREAD, payload_factor
-from geomid_ros.checks.flexible import Gain, by_channel
-from geomid_ros.checks.instants import FEWEST, elapsed
-from geomid_ros.checks.subject import STRETCHES, Subject
+from geomid_ros.checks.sample_reservoir import FEWEST, elapsed
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.types import BoolArray, FloatArray
 
 _PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # fractions of the recording at which a change may begin
 _LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s]; less hardly matters after the filter; if more fits, it is no lag
 
-Columns: TypeAlias = Callable[[Subject], FloatArray]
+Columns: TypeAlias = Callable[[EffortData], FloatArray]
 """Makes the effort columns ``(N, C, k)`` of a subject, per standard deviation of a possible fault."""
 _Named: TypeAlias = tuple[Cause, list[int] | EllipsisType]
-Said: TypeAlias = Callable[[Gain, str], _Named | None]
+Said: TypeAlias = Callable[[EvidenceGain, str], _Named | None]
 """Makes the cause, and the channels that it concerns, from a fit and its time of beginning; None if it is too small."""
 
 
@@ -43,17 +43,17 @@ class _Kind:
     first: bool = False
 
 
-def changes(subject: Subject) -> Iterator[Candidate]:
+def changes(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield the changes that explain anything."""
     yield from switches(subject)
-    fit = subject.flexible
+    fit = subject.baseline_fit
     for kind in _kinds(subject):
         always, begins = kind.columns(subject), np.searchsorted(subject.shares, _PLACES)
-        tried = fit.promises(always, begins, before=kind.first)
+        tried = fit.predicted_gains(always, begins, before=kind.first)
         place, promise = float(_PLACES[int(np.argmax(tried))]), float(np.max(tried))
         when = f"{'until' if kind.first else 'from'} about {elapsed(subject.samples.stamps, place):.0f} s"
         when += "" if kind.first else " on"
-        if kind.grows and (growing := float(fit.promises(_share(subject) * always)[0])) > promise:
+        if kind.grows and (growing := float(fit.predicted_gains(_share(subject) * always)[0])) > promise:
             place, when, promise = np.nan, BIT_BY_BIT, growing
         if promise <= 0.0:
             continue
@@ -63,44 +63,49 @@ def changes(subject: Subject) -> Iterator[Candidate]:
             yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), *described)
 
 
-def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int] | EllipsisType) -> Candidate:
-    def undo(subject: Subject) -> CandidateFit:
-        gain, always = subject.flexible.gain(_onset(subject, kind, place)), subject.flexible.gain(kind.columns(subject))
+def _candidate(
+    kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int] | EllipsisType
+) -> FaultCandidate:
+    def undo(subject: EffortData) -> CandidateFit:
+        gain, always = (
+            subject.baseline_fit.gain(_onset(subject, kind, place)),
+            subject.baseline_fit.gain(kind.columns(subject)),
+        )
         beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
         return _judged(subject, beyond, slice(main, main + 1))
 
-    return Candidate(undo=undo, cause=cause, concerned=concerned, changes=True)
+    return FaultCandidate(fit_corrected=undo, cause=cause, channels=concerned, begins_during_recording=True)
 
 
-def _judged(subject: Subject, gain: Gain, main: slice) -> CandidateFit:
+def _judged(subject: EffortData, gain: EvidenceGain, main: slice) -> CandidateFit:
     """Evaluate a gain over the flexible fit, with the sizes of its ``main`` columns."""
     nominal = subject.nominal
     return CandidateFit(
-        log=nominal.log + gain.per_instant * len(subject.samples),
+        log_evidence=nominal.log_evidence + gain.per_instant * len(subject.samples),
         sigmas=nominal.sigmas * gain.ratios,
         estimates=gain.coefficients[main],
         deviations=gain.deviations[main],
     )
 
 
-def _later(subject: Subject, place: float, first: bool) -> FloatArray:
+def _later(subject: EffortData, place: float, first: bool) -> FloatArray:
     return np.asarray((subject.shares >= place) != first, dtype=np.float64)[:, None, None]
 
 
-def _share(subject: Subject) -> FloatArray:
+def _share(subject: EffortData) -> FloatArray:
     return subject.shares[:, None, None]
 
 
-def _onset(subject: Subject, kind: _Kind, place: float) -> FloatArray:
+def _onset(subject: EffortData, kind: _Kind, place: float) -> FloatArray:
     """Columns from a place on, or growing gradually if it is NaN."""
     weight = _share(subject) if np.isnan(place) else _later(subject, place, kind.first)
     return np.asarray(weight * kind.columns(subject))
 
 
-def _kinds(subject: Subject) -> Iterator[_Kind]:
+def _kinds(subject: EffortData) -> Iterator[_Kind]:
     names = subject.names
 
-    def offset(gain: Gain, when: str) -> _Named | None:
+    def offset(gain: EvidenceGain, when: str) -> _Named | None:
         main = _main(gain.coefficients)
         steps = gain.coefficients * subject.measured_std
         sizes_text = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
@@ -110,34 +115,34 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
         lambda of: by_channel(np.broadcast_to(of.measured_std[None, :, None], (*of.measured.shape, 1))), offset, True
     )
 
-    def steps(gain: Gain) -> FloatArray:
-        first = np.std(subject.flexible.rigid, axis=0) / np.maximum(np.std(gain.rigid, axis=0), 1e-9)
+    def steps(gain: EvidenceGain) -> FloatArray:
+        first = np.std(subject.baseline_fit.link_efforts, axis=0) / np.maximum(np.std(gain.link_efforts, axis=0), 1e-9)
         return np.asarray(SPREAD * gain.coefficients * (first if len(gain.coefficients) > 1 else np.median(first)))
 
-    def drift(gain: Gain, when: str) -> _Named | None:
+    def drift(gain: EvidenceGain, when: str) -> _Named | None:
         main = _main(steps(gain))
         factor = 1.0 + float(steps(gain)[main[0]])
         if len(main) != 1:
             return None
         every = len(gain.coefficients) == 1
-        cause = Cause.of("drift", names if every else [names[main[0]]], when=when, factor=factor, every=every)
+        cause = Cause.of("drift", names if every else [names[main[0]]], when=when, factor=factor, all_joints=every)
         return cause, ... if every else main
 
-    yield _Kind(lambda of: SPREAD * of.flexible.rigid[:, :, None], drift, True)
-    yield _Kind(lambda of: by_channel(SPREAD * of.flexible.rigid[:, :, None]), drift, True)
+    yield _Kind(lambda of: SPREAD * of.baseline_fit.link_efforts[:, :, None], drift, True)
+    yield _Kind(lambda of: by_channel(SPREAD * of.baseline_fit.link_efforts[:, :, None]), drift, True)
 
-    def switched(gain: Gain, when: str) -> _Named | None:
+    def switched(gain: EvidenceGain, when: str) -> _Named | None:
         is_gone = round(float(gain.coefficients[0])) == -1
         return (Cause.of("switched", names, when=when), ...) if is_gone else None
 
     for first in (False, True):
         yield _Kind(lambda of: of.weight[:, :, None], switched, first=first)
-    bodies = subject.prior.reshape(-1, 10)
+    bodies = subject.urdf_parameters.reshape(-1, 10)
     for place, body in enumerate(subject.robot.bodies):
         if len(subject.robot.subtree(body.name)) == 1:
             yield _load(subject, place, body.name, payload_factor(bodies, place))
 
-    def slip(gain: Gain, when: str) -> _Named | None:
+    def slip(gain: EvidenceGain, when: str) -> _Named | None:
         main = _main(gain.coefficients)
         sizes = -TILT * gain.coefficients
         sizes_text = ", ".join(
@@ -151,10 +156,10 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
     yield _Kind(lambda of: TILT * _by_position(of), slip, True)
 
 
-def _load(subject: Subject, place: int, link: str, factor: FloatArray) -> _Kind:
+def _load(subject: EffortData, place: int, link: str, factor: FloatArray) -> _Kind:
     """Load that a link picks up or puts down."""
 
-    def said(gain: Gain, when: str) -> _Named | None:
+    def said(gain: EvidenceGain, when: str) -> _Named | None:
         mass = float(factor[0] @ gain.coefficients)
         way = "more" if mass > 0.0 else "less"
         return Cause.of("load", subject.names, link=link, mass=abs(mass), way=way, when=when), ...
@@ -162,7 +167,7 @@ def _load(subject: Subject, place: int, link: str, factor: FloatArray) -> _Kind:
     return _Kind(lambda of: of.regressor[:, :, 10 * place : 10 * place + 10] @ factor, said)
 
 
-def _by_position(subject: Subject) -> FloatArray:
+def _by_position(subject: EffortData) -> FloatArray:
     """Derivatives of the URDF's efforts by joint positions ``(N, C, C)``."""
     columns = []
     for joint in subject.joints:
@@ -178,27 +183,27 @@ def _main(sizes: FloatArray) -> list[int]:
     return [*np.flatnonzero(np.abs(sizes) >= MOST * float(np.max(np.abs(sizes))))]
 
 
-def switches(subject: Subject) -> Iterator[Candidate]:
+def switches(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield switches of the efforts of all joints to another unit, or the opposite sign, at some sample."""
-    switches = [(place, factor) for place in _PLACES[1::2] for factor in _factors(subject.moving, place)]
-    if len(subject.moving.samples) < FEWEST or not switches:
+    switches = [(place, factor) for place in _PLACES[1::2] for factor in _factors(subject.moving_part, place)]
+    if len(subject.moving_part.samples) < FEWEST or not switches:
         return
-    tried = {(place, factor): _switched(subject, place, factor).log for place, factor in switches}
+    tried = {(place, factor): _switched(subject, place, factor).log_evidence for place, factor in switches}
     place, factor = max(tried, key=lambda one: tried[one])
     near = [(place + by, factor) for by in (-_PLACES[0], _PLACES[0])]
-    tried |= {switch: _switched(subject, *switch).log for switch in near}
+    tried |= {switch: _switched(subject, *switch).log_evidence for switch in near}
     place, factor = max(tried, key=lambda one: tried[one])
     change = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
     when = f"from about {elapsed(subject.samples.stamps, place):.0f} s on"
     cause = Cause.of("stream", subject.names, factor=change, when=when)
-    yield Candidate(
-        undo=lambda of: _switched(of, place, factor),
+    yield FaultCandidate(
+        fit_corrected=lambda of: _switched(of, place, factor),
         cause=cause,
-        changes=True,
+        begins_during_recording=True,
     )
 
 
-def _factors(subject: Subject, place: float) -> list[float]:
+def _factors(subject: EffortData, place: float) -> list[float]:
     """Possible factors on the efforts from a place on: the opposite sign, or a unit, if they change as much."""
     later = subject.shares >= place
 
@@ -212,10 +217,10 @@ def _factors(subject: Subject, place: float) -> list[float]:
     return [-1.0] if 1.0 / LARGEST_MASS_FACTOR <= factor <= LARGEST_MASS_FACTOR else [factor, -factor]
 
 
-def _switched(recording: Subject, place: float, factor: float) -> CandidateFit:
+def _switched(recording: EffortData, place: float, factor: float) -> CandidateFit:
     """Evaluate the better of two readings, with efforts in N m before the place or after it, on the samples in motion:
     stiction is arbitrary at rest."""
-    subject = recording.moving
+    subject = recording.moving_part
     later = subject.shares >= place
     readings = []
     # If efforts are reversed, each reading is the opposite of the other.
@@ -226,13 +231,13 @@ def _switched(recording: Subject, place: float, factor: float) -> CandidateFit:
             volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
             volume += len(gains) * float(np.sum(np.log(subject.measured_std / mended.measured_std)))
             judged = CandidateFit.of_corrected(mended, mended.measured_std)
-            readings.append(replace(judged, log=judged.log + volume))
-    best = max(readings, key=lambda judged: judged.log)
-    log = recording.nominal.log + best.log - subject.nominal.log
-    return replace(best, log=log, sigmas=np.minimum(best.sigmas, recording.nominal.sigmas))
+            readings.append(replace(judged, log_evidence=judged.log_evidence + volume))
+    best = max(readings, key=lambda judged: judged.log_evidence)
+    log = recording.nominal.log_evidence + best.log_evidence - subject.nominal.log_evidence
+    return replace(best, log_evidence=log, sigmas=np.minimum(best.sigmas, recording.nominal.sigmas))
 
 
-def lags(subject: Subject) -> Iterator[Candidate]:
+def lags(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield delays of the efforts against the motion.
 
     To first order a lag adds the derivative of the efforts, times the lag. It is identified from the efforts of the
@@ -240,7 +245,9 @@ def lags(subject: Subject) -> Iterator[Candidate]:
     of friction.
     """
     count = len(subject.joints)
-    common, separate = (subject.flexible.gain(columns) for columns in (_rates(subject), by_channel(_rates(subject))))
+    common, separate = (
+        subject.baseline_fit.gain(columns) for columns in (_rates(subject), by_channel(_rates(subject)))
+    )
     lag = _MOST_LAG * float(common.coefficients[0])
     if _matters(common)[0] and abs(lag) < _MOST_LAG:
         yield _late(subject, [*range(count)], np.full(count, lag), _rates)
@@ -252,28 +259,28 @@ def lags(subject: Subject) -> Iterator[Candidate]:
         yield _late(subject, main, lags, lambda of: by_channel(_rates(of))[:, :, main])
 
 
-def _matters(gain: Gain) -> BoolArray:
+def _matters(gain: EvidenceGain) -> BoolArray:
     """True for lags that are certainly large enough ``(k,)``."""
     return np.asarray(_MOST_LAG * (np.abs(gain.coefficients) - STDS_OF_95 * gain.deviations) > _LEAST_LAG)
 
 
-def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns) -> Candidate:
+def _late(subject: EffortData, main: list[int], lags: FloatArray, columns: Columns) -> FaultCandidate:
     every, names = len(main) == len(subject.joints), [subject.names[c] for c in main]
     times = [f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}" for lag in lags]
     by_joint = ", ".join(f"that of '{name}' about {time}" for name, time in zip(names, times, strict=True))
     cause = Cause.of("late", names, sizes=f"all are about {times[0]}" if len(set(times)) == 1 and every else by_joint)
 
-    def undo(of: Subject) -> CandidateFit:
-        gain = of.flexible.gain(columns(of))
+    def undo(of: EffortData) -> CandidateFit:
+        gain = of.baseline_fit.gain(columns(of))
         return _judged(of, gain, slice(None))
 
-    return Candidate(undo=undo, cause=cause, concerned=main)
+    return FaultCandidate(fit_corrected=undo, cause=cause, channels=main)
 
 
-def _rates(subject: Subject) -> FloatArray:
+def _rates(subject: EffortData) -> FloatArray:
     """Change of the fitted links' efforts for a lag of ``_MOST_LAG``, ``(N, C, 1)``."""
-    links = subject.parameters_at(subject.flexible.links)
-    times = (subject.later.stamps - subject.samples.stamps) * 1e-9
-    change = subject.with_samples(subject.later).regressor @ links - subject.flexible.rigid
+    links = subject.parameters_at(subject.baseline_fit.link_errors)
+    times = (subject.next_samples.stamps - subject.samples.stamps) * 1e-9
+    change = subject.with_samples(subject.next_samples).regressor @ links - subject.baseline_fit.link_efforts
     rates = np.divide(change, times[:, None], out=np.zeros_like(change), where=times[:, None] > 0.0)
     return np.asarray(-_MOST_LAG * rates)[:, :, None]

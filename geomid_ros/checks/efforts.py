@@ -9,10 +9,10 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, ROUNDS, TILT, Candidate, CandidateFit
+from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, ROUNDS, TILT, CandidateFit, FaultCandidate
 from geomid_ros.checks.causes import Cause, gain_settings
+from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
-from geomid_ros.checks.subject import Subject
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.types import FloatArray
 
@@ -22,29 +22,29 @@ _SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
 _SIDE = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 
 
-def _signs(subject: Subject) -> Iterator[Candidate]:
+def _signs(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for reversed efforts, of all joints or of one."""
     every = range(len(subject.joints))
     for joints in [every, *([joint] for joint in every if len(every) > 1)]:
         names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(every)
-        cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], is_all), every=is_all)
+        cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], is_all), all_joints=is_all)
         yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause, joints)
 
 
-def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Candidate:
+def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> FaultCandidate:
     """Candidate whose efforts, times a ``matrix (C, C)``, are those of this robot."""
     channels, sizes = np.arange(len(matrix)), np.abs(matrix)
     sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
-    return Candidate(
-        read=lambda subject: subject.with_efforts(subject.measured @ matrix.T),
+    return FaultCandidate(
+        corrected=lambda subject: subject.with_efforts(subject.measured @ matrix.T),
         cause=cause,
-        concerned=concerned,
+        channels=concerned,
         sizes=sizes[channels, sources],
         sources=sources,
     )
 
 
-def _orders(subject: Subject) -> Iterator[Candidate]:
+def _orders(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for swapped efforts of two joints."""
     for pairs in exchanges(subject.names):
         if len(pairs) == 1:
@@ -54,7 +54,7 @@ def _orders(subject: Subject) -> Iterator[Candidate]:
             yield _linear(matrix, Cause.of("order", [subject.names[joint] for joint in pair]), pair)
 
 
-def _couplings(subject: Subject) -> Iterator[Candidate]:
+def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for a motor that also delivers the effort of another joint, in either direction.
 
     They are not named, because sound recordings of some seconds may look like them. But they explain what would be
@@ -66,26 +66,26 @@ def _couplings(subject: Subject) -> Iterator[Candidate]:
                 matrix = np.eye(len(subject.joints))
                 matrix[joint, other] = sign
                 cause = Cause(kind="coupled", sentence="", places=(subject.names[joint],))
-                yield replace(_linear(matrix, cause, [joint]), alone=False)
+                yield replace(_linear(matrix, cause, [joint]), may_be_named=False)
 
 
-def _frictions(subject: Subject) -> Iterator[Candidate]:
+def _frictions(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield a candidate for friction that drives joints, while weights and inertias are right in the efforts."""
     fitted = subject.evidence(either_sign=True)
     friction = subject.friction_efforts(fitted)
     power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
     drives = (power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)
     concerned = np.flatnonzero(drives).tolist()
-    if concerned and not np.any(subject.opposite(fitted)):
+    if concerned and not np.any(subject.has_opposite_sign(fitted)):
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
 
-        def undo(subject: Subject) -> CandidateFit:
+        def undo(subject: EffortData) -> CandidateFit:
             return CandidateFit.of_corrected(subject, subject.measured_std, subject.evidence(either_sign=drives))
 
-        yield Candidate(undo=undo, cause=cause, concerned=concerned)
+        yield FaultCandidate(fit_corrected=undo, cause=cause, channels=concerned)
 
 
-def _magnitudes(subject: Subject) -> Iterator[Candidate]:
+def _magnitudes(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield a candidate for efforts that lost their sign: it never changes where the prediction's does, or the
     velocity's if friction dominates."""
     concerned = _without_sign(subject)
@@ -93,7 +93,7 @@ def _magnitudes(subject: Subject) -> Iterator[Candidate]:
         return
     cause = Cause.of("magnitude", [subject.names[joint] for joint in concerned])
 
-    def undo(subject: Subject) -> CandidateFit:
+    def undo(subject: EffortData) -> CandidateFit:
         measured = subject.measured.copy()
         explained = np.array([_expected(subject, channel) for channel in concerned]).T
         for _ in range(ROUNDS):
@@ -104,10 +104,10 @@ def _magnitudes(subject: Subject) -> Iterator[Candidate]:
             mended, mended.measured_std
         )  # restored signs make numbers vary more, not less probable
 
-    yield Candidate(undo=undo, cause=cause, concerned=concerned)
+    yield FaultCandidate(fit_corrected=undo, cause=cause, channels=concerned)
 
 
-def _without_sign(subject: Subject) -> list[int]:
+def _without_sign(subject: EffortData) -> list[int]:
     """Channels that have lost their sign."""
     low, high = np.quantile(subject.measured, (_NEARLY, 1.0 - _NEARLY), axis=0)
     one_sided = np.minimum(-low, high) <= _NEARLY * np.maximum(-low, high)
@@ -115,7 +115,7 @@ def _without_sign(subject: Subject) -> list[int]:
     return [channel for channel, share in enumerate(shares) if one_sided[channel] and _NEARLY < share < 1.0 - _NEARLY]
 
 
-def _expected(subject: Subject, channel: int) -> FloatArray:
+def _expected(subject: EffortData, channel: int) -> FloatArray:
     """Prediction or velocity ``(N,)``, whichever an effort follows by its magnitude. An effort that is always about as
     large, and mostly a weight, as of a vertical axis, hardly changes with either."""
     effort, speed = np.abs(subject.measured[:, channel]), subject.samples.velocity[:, subject.joints[channel]]
@@ -125,7 +125,7 @@ def _expected(subject: Subject, channel: int) -> FloatArray:
     return max((predicted, speed), key=lambda one: float(np.nan_to_num(np.corrcoef(effort, np.abs(one))[0, 1])))
 
 
-def _gains(subject: Subject) -> Iterator[Candidate]:
+def _gains(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for another unit, or fractions of rated efforts, of all joints together and of each alone."""
     every = range(len(subject.joints))
     slopes, r_squared = subject.slopes()
@@ -147,13 +147,13 @@ def _gains(subject: Subject) -> Iterator[Candidate]:
         yield _gain(matrix, _other_unit(subject, [joint], factor), [joint], beyond_rating)
 
 
-def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: bool) -> Candidate:
+def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: bool) -> FaultCandidate:
     """Candidate for another unit of efforts, on which their resemblance to the prediction does not depend."""
     linear = _linear(matrix, cause, concerned)
-    return replace(linear, settled=settled, read=None, undo=linear.judged)
+    return replace(linear, needs_no_evidence=settled, corrected=None, fit_corrected=linear.evaluate)
 
 
-def _common_factor(subject: Subject, slopes: FloatArray, r_squared: FloatArray) -> tuple[float, bool]:
+def _common_factor(subject: EffortData, slopes: FloatArray, r_squared: FloatArray) -> tuple[float, bool]:
     """Factor that makes all efforts those of the URDF, and True if it is certain without any evidence: if the fitted
     links are all too light or too heavy by the same factor."""
     fitted, follows = subject.fitted_slopes(subject.nominal)
@@ -165,7 +165,7 @@ def _common_factor(subject: Subject, slopes: FloatArray, r_squared: FloatArray) 
     return float(np.median(predicted / subject.measured_std)), False
 
 
-def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause:
+def _other_unit(subject: EffortData, joints: Sequence[int], factor: float) -> Cause:
     """Cause if the efforts of these joints must be multiplied by a factor."""
     names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(subject.joints)
     settings = gain_settings(names, subject.gains[list(joints)] * factor, is_all)
@@ -175,18 +175,18 @@ def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause
     unit = unit or (
         "in A, on the motor side of the gear, or a share of what they are rated for" if factor > 1.0 else ""
     )
-    return Cause.of("gain", names, settings, every=is_all, ratio=ratio, unit=f" ({unit}?)" if unit else "")
+    return Cause.of("gain", names, settings, all_joints=is_all, ratio=ratio, unit=f" ({unit}?)" if unit else "")
 
 
-def _gravities(subject: Subject) -> Iterator[Candidate]:
+def _gravities(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for the best-fitting directions of gravity, and for efforts without gravity."""
     nominal = subject.robot.gravity
     size = float(np.linalg.norm(nominal))
     right = abs(size - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY
-    fitted = subject.fitted_gravity(subject.prior)
+    fitted = subject.fitted_gravity(subject.urdf_parameters)
     for start in (1.0, -1.0):
         direction = start * fitted / max(float(np.linalg.norm(fitted)), 1e-9)
-        under = subject.under((size if right else STANDARD_GRAVITY) * direction)
+        under = subject.under_gravity((size if right else STANDARD_GRAVITY) * direction)
         refined = subject.fitted_gravity(under.links(under.nominal))
         for gravity in (direction, refined / max(float(np.linalg.norm(refined)), 1e-9)):
             yield _turned(subject, (size if right else STANDARD_GRAVITY) * gravity)
@@ -194,10 +194,10 @@ def _gravities(subject: Subject) -> Iterator[Candidate]:
         yield _turned(subject, STANDARD_GRAVITY * (nominal / size if size > 0.0 else np.array([0.0, 0.0, -1.0])))
     if size > 0.0:
         cause = Cause.of("compensated", subject.names, {"gravity": [0.0, 0.0, 0.0]})
-        yield from (Candidate(read=read, cause=cause) for read in (weightless, compensated))
+        yield from (FaultCandidate(corrected=read, cause=cause) for read in (without_gravity, with_gravity_added))
 
 
-def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
+def _turned(subject: EffortData, gravity: FloatArray) -> FaultCandidate:
     nominal, size = subject.robot.gravity, float(np.linalg.norm(gravity))
     cosine = float(gravity @ nominal) / max(size * float(np.linalg.norm(nominal)), 1e-9)
     angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -208,21 +208,21 @@ def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
         "gravity",
         subject.names,
         {"gravity": written},
-        said="gravity" if alone else "level",
+        sentence_key="gravity" if alone else "level",
         how="in another direction" if turned else "with another size",
         check="check how the robot is mounted" if turned else "it must be in m/s^2",
         vector=" ".join(f"{entry:g}" for entry in written),
         angle=np.degrees(angle),
     )
-    return Candidate(read=lambda subject: subject.under(gravity), cause=cause, alone=alone)
+    return FaultCandidate(corrected=lambda subject: subject.under_gravity(gravity), cause=cause, may_be_named=alone)
 
 
-def weightless(subject: Subject) -> Subject:
+def without_gravity(subject: EffortData) -> EffortData:
     """Return the subject without gravity."""
-    return subject.under(np.zeros(3))
+    return subject.under_gravity(np.zeros(3))
 
 
-def compensated(subject: Subject) -> Subject:
+def with_gravity_added(subject: EffortData) -> EffortData:
     """Add the weights of the URDF's links to efforts that are compensated for them."""
     return subject.with_efforts(subject.measured + subject.weight)
 
@@ -248,5 +248,5 @@ def _mirrored(name: str) -> str:
     return _SIDE.sub(lambda found: _SIDES[found.group().lower()], name)
 
 
-OF_EFFORTS = (_signs, _frictions, _magnitudes, _orders, _couplings, _gains, _gravities)
+EFFORT_TRANSFORMS = (_signs, _frictions, _magnitudes, _orders, _couplings, _gains, _gravities)
 """Rows of candidates: each yields those that undo one kind of transform."""

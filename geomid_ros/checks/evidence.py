@@ -40,23 +40,23 @@ class Evidence:
     """Evidence of a hypothesis, and its fit.
 
     Attributes:
-        log: the log evidence.
+        log_evidence: the log evidence.
         sigmas: ``(C,)`` of the residuals, in standard deviations of the measured channels.
-        links: ``(r,)`` the links' errors.
+        link_errors: ``(r,)`` the links' errors.
         friction: ``(C, 5)`` its coefficients, in standard deviations of the measured channels.
         precision: ``(r + C k, r + C k)`` of the links' errors and the channels' separate coefficients; 1 for those
             fixed at zero.
     """
 
-    log: float
+    log_evidence: float
     sigmas: FloatArray
-    links: FloatArray
+    link_errors: FloatArray
     friction: FloatArray
     precision: FloatArray
 
     def deviations(self) -> FloatArray:
         """Standard deviations ``(r,)`` of the links' errors."""
-        return np.sqrt(definite.variances(self.precision, len(self.links)))
+        return np.sqrt(definite.variances(self.precision, len(self.link_errors)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Unknowns:
         columns = [np.column_stack([links[:, c, errors], own[:, c]]) for c, errors in enumerate(felt)]
         return Unknowns(links.shape[2], felt, tuple(columns))
 
-    def part(self, chosen: AnyArray | slice) -> Unknowns:
+    def select(self, chosen: AnyArray | slice) -> Unknowns:
         """Return the columns at some of the samples, chosen by a mask, an index array or a slice."""
         return replace(self, columns=tuple(columns[chosen] for columns in self.columns))
 
@@ -182,9 +182,9 @@ def evidence(
     noise = float(counts @ np.log(2.0 * np.pi * sigmas**2))
     log_determinant = definite.log_determinant(posterior) - float(np.sum(np.log(precision[~fixed])))
     return Evidence(
-        log=-0.5 * (weighted + noise + log_determinant),
+        log_evidence=-0.5 * (weighted + noise + log_determinant),
         sigmas=sigmas,
-        links=mean[:rank],
+        link_errors=mean[:rank],
         friction=mean[rank:].reshape(tolerated.shape)[:, -FRICTION:],
         precision=posterior,
     )

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.evidence import MOST
-from geomid_ros.checks.instants import FEWEST, STEP
+from geomid_ros.checks.sample_reservoir import FEWEST, STEP
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, Estimate
 from geomid_ros.model.contacts import DIRECTIONS, Contact, Legs
 from geomid_ros.model.effects import effect_class
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.moving_base import LIFTED
@@ -29,7 +29,7 @@ _TURNED = 1.0  # [deg]
 _DISPLACED = 0.03  # [m]
 
 
-def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[Finding, ...]:
+def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[RecordingFault, ...]:
     """Report limbs without a named contact that seem to support the robot, too; ``samples`` are any of a recording."""
     bearing = {}
     for tip in _unnamed_tips(robot, legs):
@@ -43,7 +43,7 @@ def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[Finding, .
         f"limbs that no contact names seem to carry a part of the robot's weight: {', '.join(named)}. Name their feet "
         "(--contacts)"
     )
-    return (Finding(cause=Cause(kind="legs", sentence=sentence)),)
+    return (RecordingFault(cause=Cause(kind="legs", sentence=sentence)),)
 
 
 def _unnamed_tips(robot: Robot, legs: Legs) -> list[str]:
@@ -84,7 +84,7 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
     return [sentence]
 
 
-def carried_weight(legs: Legs, samples: Samples) -> tuple[Finding, ...]:
+def carried_weight(legs: Legs, samples: Samples) -> tuple[RecordingFault, ...]:
     """Report if by the efforts of the legs the feet do not support the robot; ``samples`` are any of a recording."""
     shares = legs.weight_fraction(samples)
     shares = shares[np.isfinite(shares)]
@@ -96,7 +96,7 @@ def carried_weight(legs: Legs, samples: Samples) -> tuple[Finding, ...]:
         "check that efforts are in N m with their sign (effort_gain, --gain), that all feet are named (contacts), and "
         "that the IMU's frame is not upside down"
     )
-    return (Finding(cause=Cause(kind="legs", sentence=sentence)),)
+    return (RecordingFault(cause=Cause(kind="legs", sentence=sentence)),)
 
 
 def turned_imu(model: MeasurementModel, estimate: Estimate) -> list[str]:
@@ -115,7 +115,9 @@ def turned_imu(model: MeasurementModel, estimate: Estimate) -> list[str]:
     return [sentence]
 
 
-def displaced_imu(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> tuple[Finding, ...]:
+def displaced_imu(
+    model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray
+) -> tuple[RecordingFault, ...]:
     """Report if the IMU is not at its place in the URDF, and both halves of the samples show it.
 
     A position error d leaves ``-m (alpha x d + omega x (omega x d))`` of the force on the base. A wrong centre of mass
@@ -149,7 +151,7 @@ def displaced_imu(model: MeasurementModel, batches: Sequence[Samples], parameter
         "the axes of the base, or a foot that stands is missing in --contacts: the inertia and the centre of mass of "
         "the base are off. Measure its place, and name all feet"
     )
-    return (Finding(cause=Cause(kind="imu", sentence=sentence)),)
+    return (RecordingFault(cause=Cause(kind="imu", sentence=sentence)),)
 
 
 def _mass(model: MeasurementModel, parameters: FloatArray) -> float:
@@ -184,7 +186,7 @@ class _Turning:
     after: float
 
 
-def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
+def gyroscope(legs: Legs, stretch: Samples) -> tuple[RecordingFault, ...]:
     """Report a fault of the base's gyroscope, if both halves of a ``stretch`` on all feet show it."""
     measured, seconds = stretch.base_velocity[:, 3:], stretch.seconds
     turning = legs.base_rate(stretch)
@@ -213,9 +215,9 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
     return ()
 
 
-def _finding(fault: str) -> Finding:
+def _finding(fault: str) -> RecordingFault:
     sentence = f"the IMU does not turn as the base does by legs that all stand: {fault}"
-    return Finding(cause=Cause(kind="imu", sentence=sentence))
+    return RecordingFault(cause=Cause(kind="imu", sentence=sentence))
 
 
 def on_all_feet(legs: Legs, samples: Samples) -> Samples:

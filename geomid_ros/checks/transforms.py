@@ -19,14 +19,14 @@ from geomid_ros.checks.candidates import (
     ROUNDS,
     STEP,
     TILT,
-    Candidate,
     CandidateFit,
+    FaultCandidate,
     probabilities,
 )
 from geomid_ros.checks.causes import Cause
-from geomid_ros.checks.efforts import OF_EFFORTS, compensated, exchanges, weightless
+from geomid_ros.checks.effort_data import EffortData
+from geomid_ros.checks.efforts import EFFORT_TRANSFORMS, exchanges, with_gravity_added, without_gravity
 from geomid_ros.checks.evidence import LEAST_SIGMA
-from geomid_ros.checks.subject import Subject
 from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray, IntArray
 
@@ -45,7 +45,7 @@ TIMES = (0.5, 2.0, 1e-3, 1e3)
 """Factors on time: seconds that are counted as halves, twice, as milliseconds or as thousands."""
 
 
-def _names(subject: Subject) -> Iterator[Candidate]:
+def _names(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for swapped names: positions and efforts of one joint are those of another."""
     for pairs in exchanges(subject.names):
         sources = np.arange(len(subject.joints))
@@ -63,7 +63,7 @@ def _names(subject: Subject) -> Iterator[Candidate]:
         yield _of_motion(read, cause, [place for pair in pairs for place in pair], sources=sources)
 
 
-def positions(subject: Subject) -> Iterator[Candidate]:
+def positions(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for another unit of positions and speeds, of all rotary joints or of one joint. A smaller unit
     is tried only if positions exceed limits, or a turn."""
     robot = subject.robot
@@ -88,14 +88,14 @@ def positions(subject: Subject) -> Iterator[Candidate]:
 
 
 def _in_unit(
-    subject: Subject,
+    subject: EffortData,
     scales: FloatArray,
     unit: str,
     positions_text: str,
     joint: int | None = None,
     *,
     settled: bool = False,
-) -> Candidate:
+) -> FaultCandidate:
     robot = subject.robot
     names = subject.names if joint is None else [robot.joint_names[joint]]
     right = "m and m/s" if unit in UNITS["N"] else "rad and rad/s"
@@ -110,15 +110,15 @@ def _of_motion(
     *,
     sources: IntArray | EllipsisType = ...,
     settled: bool = False,
-) -> Candidate:
+) -> FaultCandidate:
     """Candidate whose changed samples are those of this robot."""
 
-    return Candidate(
-        read=lambda subject: subject.with_samples(change(subject.samples)),
+    return FaultCandidate(
+        corrected=lambda subject: subject.with_samples(change(subject.samples)),
         cause=cause,
-        concerned=concerned,
+        channels=concerned,
         sources=sources,
-        settled=settled,
+        needs_no_evidence=settled,
     )
 
 
@@ -138,7 +138,7 @@ def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0,
     )
 
 
-def _times(subject: Subject) -> Iterator[Candidate]:
+def _times(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for stamps that are too fast or too slow, or a robot that is moved by someone else: inertia does
     not fit gravity in the efforts."""
     yield _at_rate(subject, 0.0, Cause.of("guided", subject.names))
@@ -147,28 +147,29 @@ def _times(subject: Subject) -> Iterator[Candidate]:
         yield _at_rate(subject, rate, Cause.of("time", subject.names, rate=speed, period=f"{1.0 / rate:g} times"))
 
 
-def _at_rate(subject: Subject, rate: float, cause: Cause) -> Candidate:
+def _at_rate(subject: EffortData, rate: float, cause: Cause) -> FaultCandidate:
     same = np.eye(len(subject.robot.joints))
 
-    def undo(subject: Subject) -> CandidateFit:
+    def undo(subject: EffortData) -> CandidateFit:
         judged = CandidateFit.of_corrected(
             subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.measured_std
         )
         without = max(
-            CandidateFit.of_corrected(read(subject), subject.measured_std).log for read in (weightless, compensated)
+            CandidateFit.of_corrected(read(subject), subject.measured_std).log_evidence
+            for read in (without_gravity, with_gravity_added)
         )
-        return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
+        return replace(judged, log_evidence=judged.log_evidence - max(without - subject.nominal.log_evidence, 0.0))
 
-    return Candidate(undo=undo, cause=cause)
+    return FaultCandidate(fit_corrected=undo, cause=cause)
 
 
-def _zeros(subject: Subject) -> Iterator[Candidate]:
+def _zeros(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for another zero of a rotary joint, fitted from where efforts resemble the prediction most."""
     for joint in _turning(subject):
         yield _zero(subject, joint, 1.0, _best_start(subject.thinned, joint, 1.0))
 
 
-def _axes(subject: Subject) -> Iterator[Candidate]:
+def _axes(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for a joint that counts in the opposite direction, or includes the angle of a parallel joint."""
     robot = subject.robot
     turning = _turning(subject)
@@ -179,21 +180,21 @@ def _axes(subject: Subject) -> Iterator[Candidate]:
             yield from (_absolute(subject, joint, other, share) for share in (1.0, -1.0) if other in turning)
 
 
-def _turning(subject: Subject) -> list[int]:
+def _turning(subject: EffortData) -> list[int]:
     return [place for place, joint in enumerate(subject.robot.joints) if joint.unit != "N"]
 
 
-def _best_start(few: Subject, joint: int, sign: float) -> float:
+def _best_start(few: EffortData, joint: int, sign: float) -> float:
     """Zero [rad] at which efforts resemble the prediction most: a quarter turn, or near the configured zero."""
     near = 0.5 * TILT
     starts = np.array([0.0, near, -near, 0.5 * np.pi, -0.5 * np.pi, np.pi])
     counted = few.with_samples(_with_zero(few.samples, joint, sign, 0.0))
     at = np.arange(counted.samples.position.shape[1]) == joint
-    read = [counted.at(counted.samples.position + start * at) for start in starts]
+    read = [counted.at_positions(counted.samples.position + start * at) for start in starts]
     return float(starts[int(np.argmax([subject.resemblance for subject in read]))])
 
 
-def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candidate:
+def _absolute(subject: EffortData, joint: int, other: int, share: float) -> FaultCandidate:
     names = subject.robot.joint_names
     cause = Cause.of("absolute", [names[joint], names[other]], sign="minus" if share > 0.0 else "plus")
     matrix = np.eye(len(names))
@@ -201,14 +202,14 @@ def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candida
     return _of_motion(lambda samples: _moved(samples, matrix), cause)
 
 
-def _reversed_motion(subject: Subject, joint: int) -> Candidate:
+def _reversed_motion(subject: EffortData, joint: int) -> FaultCandidate:
     """Candidate for a joint whose position and speed have the opposite sign, but not its effort."""
     cause = Cause.of("axis", [subject.robot.joint_names[joint]], reversed="position and velocity", zero="")
     signs = np.where(np.arange(len(subject.robot.joints)) == joint, -1.0, 1.0)
     return _of_motion(lambda samples: _moved(samples, np.diag(signs)), cause)
 
 
-def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
+def _zero(subject: EffortData, joint: int, sign: float, start: float) -> FaultCandidate:
     """Candidate for a joint that counts from another zero, fitted near ``start`` [rad], and in the opposite direction
     if ``sign`` is negative.
 
@@ -217,10 +218,10 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
     """
     name = subject.robot.joint_names[joint]
 
-    def read(subject: Subject, zero: float = start) -> Subject:
+    def read(subject: EffortData, zero: float = start) -> EffortData:
         return subject.with_samples(_with_zero(subject.samples, joint, sign, zero))
 
-    def undo(subject: Subject) -> CandidateFit:
+    def undo(subject: EffortData) -> CandidateFit:
         zero, mended = start, read(subject)
         fitted = mended.nominal
         for _ in range(ROUNDS):
@@ -230,7 +231,7 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
             mended = read(subject, zero)
             mended.__dict__["predicted"] = mended.predicted + (start - zero) / TILT * rate
             fitted = mended.evidence(unknown=rate[:, :, None])
-            zero = start + TILT * float(fitted.links[-1])
+            zero = start + TILT * float(fitted.link_errors[-1])
         deviations = TILT * fitted.deviations()[-1:]
         return CandidateFit.of_corrected(
             mended, subject.measured_std, fitted, estimates=np.array([zero]), deviations=deviations
@@ -245,7 +246,7 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
         addition = "" if abs(turn) < 5.0 else f", and {text} to be added to its positions then"
         return Cause.of("axis", [name], reversed="position, velocity and effort", zero=addition)
 
-    return Candidate(undo=undo, read=read, cause=cause)
+    return FaultCandidate(fit_corrected=undo, corrected=read, cause=cause)
 
 
 def _with_zero(samples: Samples, joint: int, sign: float, zero: float) -> Samples:
@@ -255,21 +256,21 @@ def _with_zero(samples: Samples, joint: int, sign: float, zero: float) -> Sample
     return replace(_moved(samples, np.diag(signs), zero * at), effort=signs * samples.effort)
 
 
-OF_MOTION = (_times, _names, _zeros, _axes)
+MOTION_TRANSFORMS = (_times, _names, _zeros, _axes)
 """Rows of candidates that change the motion of the recording."""
 
 
-_AS_IT_MOVES = (*OF_EFFORTS, positions)  # motion unchanged, except for impossible angles
+_AS_IT_MOVES = (*EFFORT_TRANSFORMS, positions)  # motion unchanged, except for impossible angles
 
 
-def transforms(subject: Subject) -> tuple[list[Candidate], int]:
+def transforms(subject: EffortData) -> tuple[list[FaultCandidate], int]:
     """Return all candidates that are worth evaluating on a subject, and the number that they are chosen from."""
     # If efforts are almost explained, another reading of the motion cannot gain enough.
     possible_gain = float(np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)))
-    rows = (*_AS_IT_MOVES, *OF_MOTION) if probabilities([possible_gain], 1)[0] > PROBABLE else _AS_IT_MOVES
-    chosen, count = list[Candidate](), 0
+    rows = (*_AS_IT_MOVES, *MOTION_TRANSFORMS) if probabilities([possible_gain], 1)[0] > PROBABLE else _AS_IT_MOVES
+    chosen, count = list[FaultCandidate](), 0
     for row in rows:
         ranked = sorted(row(subject), key=lambda candidate: -candidate.resemblance(subject.thinned))
-        chosen += [c for place, c in enumerate(ranked) if place < _BEST or c.settled or c.read is None]
+        chosen += [c for place, c in enumerate(ranked) if place < _BEST or c.needs_no_evidence or c.corrected is None]
         count += len(ranked)
     return chosen, count

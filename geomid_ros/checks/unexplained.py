@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.baseline_fit import moving
+from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.effort_data import EffortData, largest_of_unit
 from geomid_ros.checks.evidence import LEAST_SIGMA, MOST
-from geomid_ros.checks.flexible import moving
-from geomid_ros.checks.instants import FEWEST
-from geomid_ros.checks.subject import Subject, largest_of_unit
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.checks.sample_reservoir import FEWEST
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -42,7 +42,7 @@ def badly_explained(
     before: FloatArray | float = np.inf,
     allowed: float = MOST,
     kind: str = "joint",
-) -> tuple[Finding, ...]:
+) -> tuple[RecordingFault, ...]:
     """Report the channels whose efforts are not explained, the worst first, and what to look at; nothing if all are.
 
     Args:
@@ -68,10 +68,10 @@ def badly_explained(
         for name, j in zip(names, worst, strict=True)
     )
     sentence = f"{kind} {described}; {hint(names[0], float(share[worst[0]]))}"
-    return (Finding(cause=Cause(kind="unexplained", sentence=sentence, places=names)),)
+    return (RecordingFault(cause=Cause(kind="unexplained", sentence=sentence, places=names)),)
 
 
-def hint(subject: Subject, joint: str, share: float) -> str:
+def hint(subject: EffortData, joint: str, share: float) -> str:
     """Describe what to look at: friction, if together with links it explains half of the residual of a joint, a
     ``share`` of its variation; else the variable that explains most of the rest, if it leaves half of the others'."""
     if joint not in subject.names:
@@ -90,7 +90,7 @@ def hint(subject: Subject, joint: str, share: float) -> str:
     return best if remaining[best] < MOST * min([1.0, *(remaining[text] for text in others)]) else _ELSE
 
 
-def _hints(subject: Subject, channel: int) -> Iterator[tuple[str, FloatArray]]:
+def _hints(subject: EffortData, channel: int) -> Iterator[tuple[str, FloatArray]]:
     """Possible faults, with the columns ``(N, k)`` that the effort would follow."""
     name, joint = subject.names[channel], subject.joints[channel]
     place, speed = subject.samples.position[:, joint], subject.samples.velocity[:, joint]
@@ -111,7 +111,7 @@ def _speed_hint(joint: str) -> str:
 
 def unexplained(
     model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray, recorded: Samples | None
-) -> tuple[Finding, ...]:
+) -> tuple[RecordingFault, ...]:
     """Report the joints whose efforts a model does not explain, or explains worse than the input's file does.
 
     Args:
@@ -134,7 +134,7 @@ def unexplained(
             channels,
             rms_pair[:, 0],
             variation,
-            lambda *of: _ELSE if recorded is None else hint(Subject.of_all(model.robot, recorded), *of),
+            lambda *of: _ELSE if recorded is None else hint(EffortData.of_all(model.robot, recorded), *of),
             before=rms_pair[:, 1],
         )
         for rms_pair, _ in residuals

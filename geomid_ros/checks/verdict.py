@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR
-from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.inference.design import BLOCKS
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -53,12 +53,12 @@ class Verdict:
 
 def verdict(
     estimate: Estimate,
-    findings: Sequence[Finding],
+    findings: Sequence[RecordingFault],
     model: MeasurementModel,
-    worse: Sequence[str] = (),
+    degraded_channels: Sequence[str] = (),
     unmeasured: Sequence[str] = (),
-    peculiar: Sequence[str] = (),
-    impossible: Sequence[str] = (),
+    effort_faults: Sequence[str] = (),
+    implausible_links: Sequence[str] = (),
 ) -> Verdict:
     """Evaluate a result.
 
@@ -66,37 +66,39 @@ def verdict(
         estimate: the result.
         findings: what seems to be wrong with the recording.
         model: that was fitted.
-        worse: the channels that it predicts worse than the URDF does, see :func:`worse_channels`.
+        degraded_channels: the channels that it predicts worse than the URDF does, see :func:`worse_channels`.
         unmeasured: the joints whose efforts are missing.
-        peculiar: peculiarities of the messages, in sentences.
-        impossible: implausible links, in sentences.
+        effort_faults: peculiarities of the messages, in sentences.
+        implausible_links: implausible links, in sentences.
     """
     warnings = [
         f"'{channel}' is predicted worse than by the URDF: the motion is too little informative there, or "
         "something acts that the model lacks"
-        for channel in worse
+        for channel in degraded_channels
     ]
-    warnings += peculiar
+    warnings += effort_faults
     if unmeasured:
         warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
     stopped = "" if estimate.converged else estimate.reason
     judged = recording_verdict(findings, stopped, warnings)
-    beyond = (*_implausible_mass(estimate, model), *impossible)
+    beyond = (*_implausible_mass(estimate, model), *implausible_links)
     return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *beyond)) if beyond else judged
 
 
-def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: Sequence[str] = ()) -> Verdict:
+def recording_verdict(
+    findings: Sequence[RecordingFault], stop_reason: str = "", warnings: Sequence[str] = ()
+) -> Verdict:
     """Evaluate the result of a recording.
 
     Args:
         findings: what seems to be wrong with it.
-        stopped: why the solver stopped before it converged; empty if it converged.
+        stop_reason: why the solver stopped before it converged; empty if it converged.
         warnings: further notes.
     """
     reasons = [finding.sentence for finding in findings]
-    if stopped:
-        reasons.append(f"the solver did not converge: {stopped}")
-    word = DOUBTFUL if findings else NOT_CONVERGED if stopped else USABLE
+    if stop_reason:
+        reasons.append(f"the solver did not converge: {stop_reason}")
+    word = DOUBTFUL if findings else NOT_CONVERGED if stop_reason else USABLE
     return Verdict(word=word, reasons=tuple(reasons), warnings=tuple(warnings))
 
 
@@ -113,7 +115,7 @@ def _implausible_mass(estimate: Estimate, model: MeasurementModel) -> Iterator[s
         )
 
 
-def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
+def poorly_predicted(estimate: Estimate, held_out: FloatArray) -> list[str]:
     """Sentence on channels where held-out data are predicted far worse than fitted ones, if any.
 
     Args:

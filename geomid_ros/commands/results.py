@@ -147,7 +147,7 @@ def sample(out: Path, **options: Any) -> None:
     """
 
     sampled = geomid_ros.sample(**options)
-    for heading, sentence in (("Warning", sampled.drawn.model.doubt), ("Note", sampled.drawn.not_drawn)):
+    for heading, sentence in (("Warning", sampled.drawn.model.warning), ("Note", sampled.drawn.not_drawn)):
         if sentence:
             click.echo(f"{heading}: {one_line(sentence)}", err=True)
     with progress_bar() as progress:

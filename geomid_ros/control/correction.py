@@ -32,16 +32,16 @@ MARGIN = 0.5
 """Gain times delay: an integrator with a delay has 61 degrees of phase margin left, and is unstable at pi / 2."""
 SHORTEST = 0.01
 """Shortest delay that the gain is set for [s]: a faster loop follows unmodelled friction."""
-FARTHEST = 0.3
+LARGEST_COM_DISTANCE = 0.3
 """Physical limit: largest distance of a payload's centre of mass from the origin of its link [m]."""
 
 
-def share_of(step: float, delay: float) -> float:
+def removed_fraction(step: float, delay: float) -> float:
     """Fraction of the residual that a step of so many seconds removes, at the gain ``MARGIN / delay`` [1/s]."""
     return -math.expm1(-MARGIN * step / max(delay, SHORTEST))
 
 
-def needed(point: Point, rows: FloatArray, residuals: FloatArray) -> FloatArray:
+def shortest_change(point: Point, rows: FloatArray, residuals: FloatArray) -> FloatArray:
     """Shortest tangent vector ``(10,)`` that explains ``residuals (joints,)`` by ``rows (joints, 10)``, both in units
     of the residuals' noise."""
     whitened = ONE_BODY.whiten(point, rows)
@@ -65,7 +65,7 @@ class Adaptation:
             heaviest: largest payload [kg].
         """
         self._identified = ONE_BODY.point(identified)
-        corners = FARTHEST * np.concatenate([np.eye(3), -np.eye(3)])
+        corners = LARGEST_COM_DISTANCE * np.concatenate([np.eye(3), -np.eye(3)])
         ends = np.append(corners, np.ones((6, 1)), axis=1)
         loads = to_parameters(heaviest * ends[:, :, None] * ends[:, None, :])
         self._bound = max(divergence(ONE_BODY.point(identified + load), self._identified) for load in loads)
@@ -86,13 +86,13 @@ class Adaptation:
             self.point = end
 
     def explains(self, rows: FloatArray, residuals: FloatArray) -> bool:
-        """True if the ``residuals`` of :func:`needed` may be those of the body with a payload.
+        """True if the ``residuals`` of :func:`shortest_change` may be those of the body with a payload.
 
         The shortest change that explains them is computed in the metric of the body with the heaviest payload, spread
         as far as it may lie. It must not remove more than this body, as a contact that pulls sideways or upwards does.
         """
         loaded = ONE_BODY.point(self.point.parameters + self._mean_load)
-        change = symmetric.to_matrix(needed(loaded, rows, residuals))
+        change = symmetric.to_matrix(shortest_change(loaded, rows, residuals))
         return bool(np.linalg.eigvalsh(change)[0] > -1.0)
 
 
@@ -101,9 +101,9 @@ LARGEST_SHARE = 0.3
 FASTEST = 5.0
 """Largest change of the correction, in effort limits per second."""
 _NOISE = 0.01  # of the effort limit: standard deviation of efforts that no inertia of the body explains
-LASTING = 0.1
+LONGEST_FAULT = 0.1
 """Time [s] that a fault may last before the correction is switched off; meanwhile nothing is learned."""
-LATER = 2.0
+LARGEST_DELAY_RATIO = 2.0
 """Allowed delay as a multiple of the delay that the gain is set for; the loop is stable up to pi times."""
 _SATURATED = 0.99  # of the effort limit
 _MEMORY = 1.0  # [s] in which a long delay, and a fault of LASTING, are forgotten
@@ -132,7 +132,7 @@ class Reading:
         return np.array_equal(self._numbers, other._numbers)
 
 
-class Latch:
+class FaultLatch:
     """Adds up the time of faults, and remembers why the correction is off."""
 
     def __init__(self) -> None:
@@ -142,15 +142,17 @@ class Latch:
         self.reason = ""
         """Sentence on why the correction is off; empty while it is on."""
 
-    def take(self, now: float, faults: Sequence[str]) -> None:
+    def record(self, now: float, faults: Sequence[str]) -> None:
         """Record the ``faults`` from ``now`` [s] on, in sentences: intermittent faults add up."""
         elapsed, self._before = max(0.0, now - self._before), now
-        self._wrong = self._wrong + elapsed if self._is_wrong else max(0.0, self._wrong - elapsed * LASTING / _MEMORY)
+        self._wrong = (
+            self._wrong + elapsed if self._is_wrong else max(0.0, self._wrong - elapsed * LONGEST_FAULT / _MEMORY)
+        )
         self._is_wrong = bool(faults)
-        if faults and self._wrong >= LASTING:
-            self.close(faults[0])
+        if faults and self._wrong >= LONGEST_FAULT:
+            self.switch_off(faults[0])
 
-    def close(self, reason: str) -> None:
+    def switch_off(self, reason: str) -> None:
         """Switch off. The first ``reason`` is kept."""
         self.reason = self.reason or reason
 
@@ -164,7 +166,7 @@ class Delay:
 
     def faults(self, delay: float) -> list[str]:
         """Return the fault of a delay in a sentence, if there is one."""
-        if not self.reference or delay <= LATER * self.reference:
+        if not self.reference or delay <= LARGEST_DELAY_RATIO * self.reference:
             return []
         return [f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.reference:.0f} ms before"]
 
@@ -221,7 +223,7 @@ class Correction:
         self._rows_of, identified = efforts.of_body(body)
         self.adaptation = Adaptation(identified, heaviest)
         self.delay = Delay()
-        self.latch = Latch()
+        self.latch = FaultLatch()
         self._before: Reading | None = None
         self._faults: list[str] = []  # of the last reading
         self._received = self._sent = -np.inf
@@ -248,10 +250,10 @@ class Correction:
         if not self.adaptation.explains(rows, residuals):
             faults.append("no payload explains the efforts; the robot may touch something")
         self._faults = faults
-        self.latch.take(now, faults)
+        self.latch.record(now, faults)
         if not faults and not self.latch.reason:
-            tangent = needed(self.adaptation.point, rows, residuals)
-            self.adaptation.step(share_of(step, self.delay.reference) * tangent)
+            tangent = shortest_change(self.adaptation.point, rows, residuals)
+            self.adaptation.step(removed_fraction(step, self.delay.reference) * tangent)
 
     def _missing(self, motion: FloatArray, effort: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows ``(joints, 10)`` of the body, and the residual ``effort (joints,)`` that neither it nor the model
@@ -262,17 +264,17 @@ class Correction:
 
     def _check_clock(self, elapsed: float, source: str = "") -> None:
         if elapsed < 0.0:
-            self.latch.close(f"the clock {source}went back by {-elapsed:.3g} s")
+            self.latch.switch_off(f"the clock {source}went back by {-elapsed:.3g} s")
 
     def __call__(self, now: float, commanded: FloatArray) -> FloatArray:
         """Efforts ``(joints,)`` to add to those of the identified model, for the motion ``commanded (3, joints)``."""
-        if np.isfinite(self._received) and now - self._received > LASTING:
-            self.latch.close(f"no joint states for {1e3 * (now - self._received):.0f} ms")
+        if np.isfinite(self._received) and now - self._received > LONGEST_FAULT:
+            self.latch.switch_off(f"no joint states for {1e3 * (now - self._received):.0f} ms")
         if self._before is not None:  # late data are late before they arrive
-            self.latch.take(now, [*self._faults, *self.delay.faults(now - self._before.time)])
+            self.latch.record(now, [*self._faults, *self.delay.faults(now - self._before.time)])
         elapsed, self._sent = now - self._sent, now
         self._check_clock(elapsed)
-        bound, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(elapsed, LASTING))
+        bound, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(elapsed, LONGEST_FAULT))
         target = np.clip(self._wanted(commanded), -bound, bound)
         self._last = np.clip(target, self._last - change, self._last + change)
         return self._last
@@ -283,5 +285,5 @@ class Correction:
             efforts = self._rows_of(commanded) @ self.adaptation.change
             if np.isfinite(efforts).all():
                 return np.asarray(efforts)
-            self.latch.close("the efforts to add are not finite; the motion that is commanded is wrong")
+            self.latch.switch_off("the efforts to add are not finite; the motion that is commanded is wrong")
         return np.zeros(len(self._joints))

@@ -17,7 +17,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.model.dynamics import InverseDynamics
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
 EffortsOf: TypeAlias = Callable[[FloatArray], FloatArray]
@@ -63,7 +63,7 @@ class MotorEfforts:
         self._robot = robot
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains = gains[self._order]
-        of_sensors = np.array([c.effect.of_sensor for c in model.coefficients], dtype=bool)
+        of_sensors = np.array([c.effect.is_sensor_error for c in model.coefficients], dtype=bool)
         motor_parameters = parameters.copy()
         motor_parameters[len(model.nominal_inertias) :][of_sensors] = 0.0
         self._dynamics = InverseDynamics(model, motor_parameters)

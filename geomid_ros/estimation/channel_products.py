@@ -20,7 +20,7 @@ from geomid_ros.geometry import compiled
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 
-class Packed(NamedTuple):
+class PackedBlocks(NamedTuple):
     """Layout for the compiled loops: all ``blocks`` in one array, and their ``widths (C,)``. Per selected column: its
     row in the block of its channel (``rows``), its place in the result (``places``), and the end of its run of columns
     within the channel that are consecutive in both (``runs``). ``ends (C,)`` of the channels."""
@@ -34,7 +34,7 @@ class Packed(NamedTuple):
 
 
 def _weighed(
-    packed: Packed, vector: FloatArray, counts: FloatArray, least: FloatArray, *, alone: bool = False
+    packed: PackedBlocks, vector: FloatArray, counts: FloatArray, least: FloatArray, *, alone: bool = False
 ) -> tuple[FloatArray, FloatArray] | None:
     """Compute :meth:`ChannelProducts.weighed_by_squares` of the selected columns by the compiled loops; None without
     these. ``alone``: compute only the squares, not the sum."""
@@ -74,7 +74,7 @@ class ChannelProducts:
         return np.array([block[-1, -1] for block in self.blocks])
 
     @cached_property
-    def packed(self) -> Packed:
+    def packed(self) -> PackedBlocks:
         """Packed layout for the compiled loops."""
         return self._packed(np.arange(self.size - 1))
 
@@ -84,7 +84,7 @@ class ChannelProducts:
         widths = np.array([len(places) for places in self.places])
         return np.concatenate([block.ravel() for block in self.blocks]), widths, np.concatenate(self.places)
 
-    def _packed(self, columns: IntArray) -> Packed:
+    def _packed(self, columns: IntArray) -> PackedBlocks:
         """Packed layout for some ``columns``, increasing, and the target."""
         blocks, widths, places = self._joined
         new_places = np.full(self.size, -1)
@@ -98,7 +98,7 @@ class ChannelProducts:
         begins[ends] = True
         breaks = np.flatnonzero(begins)
         runs = breaks[np.searchsorted(breaks, np.arange(len(at)), side="right")] - np.repeat(ends - counts, counts)
-        return Packed(blocks, widths, kept - (np.cumsum(widths) - widths)[channel], at, runs, ends)
+        return PackedBlocks(blocks, widths, kept - (np.cumsum(widths) - widths)[channel], at, runs, ends)
 
     def first(self, count: int) -> ChannelProducts:
         """The first ``count`` channels."""
@@ -176,7 +176,7 @@ class SelectedProducts:
         return self.whole.targets
 
     @cached_property
-    def packed(self) -> Packed:
+    def packed(self) -> PackedBlocks:
         """Packed layout for the compiled loops."""
         return self.whole._packed(self.columns)  # noqa: SLF001 same module
 

@@ -39,7 +39,7 @@ class CoefficientRows:
     at_rest: bool = False
 
     @property
-    def first(self) -> int:
+    def first_column(self) -> int:
         """Column of the first coefficient."""
         return self.problem.model.dimension - len(self.problem.model.coefficients)
 
@@ -49,7 +49,7 @@ class CoefficientRows:
         return self.problem.model.dimension
 
     @property
-    def enough(self) -> bool:
+    def has_enough_rows(self) -> bool:
         """True if a channel has more independent rows of fast motion than non-optional unknowns, as a choice needs."""
         unknowns = [
             len(np.intersect1d(channel.columns, self.required_columns)) for channel in self.problem.model.channels
@@ -59,11 +59,11 @@ class CoefficientRows:
     @property
     def columns(self) -> range:
         """Columns of the coefficients."""
-        return range(self.first, self.size)
+        return range(self.first_column, self.size)
 
     def coefficient(self, column: int) -> Coefficient:
         """Coefficient of a column."""
-        return self.problem.model.coefficients[column - self.first]
+        return self.problem.model.coefficients[column - self.first_column]
 
     def mechanism(self, column: int) -> Mechanism:
         """Mechanism of a column: its effect at its place, whatever constants it has."""
@@ -72,12 +72,12 @@ class CoefficientRows:
     @cached_property
     def required_columns(self) -> IntArray:
         """Columns of all non-optional parameters, effects in their default shape."""
-        return np.array([c for c in range(self.size) if c < self.first or not self.coefficient(c).optional])
+        return np.array([c for c in range(self.size) if c < self.first_column or not self.coefficient(c).optional])
 
     @cached_property
     def required_mechanisms(self) -> list[Mechanism]:
         """Mechanisms that are never left out."""
-        return [self.mechanism(column) for column in self.required_columns if column >= self.first]
+        return [self.mechanism(column) for column in self.required_columns if column >= self.first_column]
 
     @cached_property
     def shapes(self) -> dict[Mechanism, list[int]]:
@@ -103,7 +103,7 @@ class CoefficientRows:
 
     def candidates(self, columns: IntArray, refused: Collection[Mechanism]) -> IntArray:
         """Columns that may be added to ``columns``, without the ``refused`` mechanisms."""
-        excluded = {self.mechanism(column) for column in columns if column >= self.first} | {*refused}
+        excluded = {self.mechanism(column) for column in columns if column >= self.first_column} | {*refused}
         return np.array([column for column in self.optional if self.mechanism(column) not in excluded], dtype=np.int64)
 
     def positive(self, column: int) -> bool:
@@ -113,19 +113,19 @@ class CoefficientRows:
     def allows(self, column: int, value: float) -> bool:
         """True if a coefficient can have this value."""
         coefficient = self.coefficient(column)
-        form = coefficient.effect.own[coefficient.index]
+        form = coefficient.effect.column_parameters[coefficient.index]
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     @cached_property
     def products(self) -> ChannelProducts:
         """Gram matrices of all columns and the target, per group, times the independent fraction of the rows."""
-        return self.problem.products.first(len(self.counts)).times(self.problem.independent)
+        return self.problem.products.first(len(self.counts)).times(self.problem.independent_fraction)
 
     @cached_property
     def known_products(self) -> FloatArray:
         """Gram matrix of all columns and the residual of the known rows, at the prior without effects."""
         manifold = StraightManifold(len(self.problem.default_stds), 0, self.problem.scales)
-        prior = manifold.point(np.append(self.problem.prior[: self.first], np.zeros(len(manifold.scales))))
+        prior = manifold.point(np.append(self.problem.prior[: self.first_column], np.zeros(len(manifold.scales))))
         rows = rows_at(manifold, prior, self.problem.known.rows, self.problem.known.targets)
         return np.asarray(rows.T @ rows)
 
@@ -133,7 +133,7 @@ class CoefficientRows:
     def counts(self) -> FloatArray:
         """Number of independent rows of each group."""
         count = len(self.problem.counts) - (0 if self.at_rest else len(self.problem.model.channels))
-        return self.problem.independent * self.problem.counts[:count]
+        return self.problem.independent_fraction * self.problem.counts[:count]
 
     @property
     def fast(self) -> slice:
@@ -153,12 +153,12 @@ class CoefficientRows:
     ) -> CoefficientFit:
         """Fit these parameters, from an earlier fit if given. ``prior_stds (links,)``: fixed prior std of the links;
         estimated unless given. Coefficients that would be negative and cannot be are zero."""
-        zero = np.zeros(0, dtype=np.int64) if start is None else start.zero
+        zero = np.zeros(0, dtype=np.int64) if start is None else start.zero_columns
         fit = self._non_negative_fit(np.setdiff1d(columns, zero), start, prior_stds)
-        fit = replace(fit, zero=np.setdiff1d(columns, fit.columns))
+        fit = replace(fit, zero_columns=np.setdiff1d(columns, fit.columns))
         if len(wanted := np.intersect1d(fit.needlessly_zero, zero)):
             fit = self._non_negative_fit(np.union1d(fit.columns, wanted), fit, prior_stds)
-        return replace(fit, zero=np.setdiff1d(columns, fit.columns))
+        return replace(fit, zero_columns=np.setdiff1d(columns, fit.columns))
 
     def _non_negative_fit(
         self, columns: IntArray, start: CoefficientFit | None, spreads: FloatArray | None
@@ -172,7 +172,9 @@ class CoefficientRows:
     def _fit(self, columns: IntArray, start: CoefficientFit | None, given: FloatArray | None) -> CoefficientFit:
         """Fit in which every coefficient may be negative."""
         problem, default = self.problem, self.problem.default_stds
-        manifold = StraightManifold(len(default), 0, problem.scales[columns[columns >= self.first] - self.first])
+        manifold = StraightManifold(
+            len(default), 0, problem.scales[columns[columns >= self.first_column] - self.first_column]
+        )
         links = manifold.inertial
         prior = manifold.point(np.append(problem.prior[links], np.zeros(len(manifold.scales))))
         point, spreads = prior, default
@@ -196,12 +198,12 @@ class CoefficientRows:
 
 @dataclass(frozen=True, eq=False)
 class CoefficientFit:
-    """Result ``fit`` for the ``columns`` of ``rows``; the chosen coefficients ``zero`` are fixed at zero."""
+    """Result ``fit`` for the ``columns`` of ``rows``; the chosen coefficients ``zero_columns`` are fixed at zero."""
 
     rows: CoefficientRows
     columns: IntArray
     fit: ProfileFit
-    zero: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    zero_columns: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @cached_property
     def parameters(self) -> FloatArray:
@@ -213,18 +215,18 @@ class CoefficientFit:
     @property
     def all_columns(self) -> IntArray:
         """Columns, including those fixed at zero."""
-        return np.union1d(self.columns, self.zero)
+        return np.union1d(self.columns, self.zero_columns)
 
     @property
     def negative(self) -> IntArray:
         """Columns of coefficients that are negative and cannot be."""
         negative = self.fit.point.parameters < 0.0
-        return np.array([c for c in self.columns[negative] if c >= self.rows.first and self.rows.positive(c)])
+        return np.array([c for c in self.columns[negative] if c >= self.rows.first_column and self.rows.positive(c)])
 
     @property
     def needlessly_zero(self) -> IntArray:
         """Columns fixed at zero that would improve the fit."""
-        return self.zero[self.gains(self.zero) > 0.0] if len(self.zero) else self.zero
+        return self.zero_columns[self.gains(self.zero_columns) > 0.0] if len(self.zero_columns) else self.zero_columns
 
     @cached_property
     def with_default_priors(self) -> CoefficientFit:
@@ -246,22 +248,22 @@ class CoefficientFit:
         return self.rows.counts / self.residual_squares
 
     @property
-    def possible(self) -> BoolArray:
-        """True for each of the :attr:`chosen` that is in its range, and whose effect does what it stands for given the
-        others at its place."""
+    def is_plausible(self) -> BoolArray:
+        """True for each of the :attr:`chosen_columns` that is in its range, and whose effect does what it stands for
+        given the others at its place."""
         sizes = self.parameters
         peers: dict[Place, dict[Effect, float]] = {}
-        for column in self.all_columns[self.all_columns >= self.rows.first].tolist():
+        for column in self.all_columns[self.all_columns >= self.rows.first_column].tolist():
             coefficient = self.rows.coefficient(column)
             peers.setdefault(coefficient.place, {})[coefficient.effect] = float(sizes[column])
-        pairs = [(column, self.rows.coefficient(column)) for column in self.chosen.tolist()]
+        pairs = [(column, self.rows.coefficient(column)) for column in self.chosen_columns.tolist()]
         return np.array(
             [self.rows.allows(column, sizes[column]) and c.effect.is_supported(peers[c.place]) for column, c in pairs],
             dtype=np.bool_,
         )
 
     @cached_property
-    def chosen(self) -> IntArray:
+    def chosen_columns(self) -> IntArray:
         """Optional columns."""
         return np.intersect1d(self.all_columns, self.rows.optional)
 
@@ -293,14 +295,14 @@ class CoefficientFit:
             places = np.append(channel.columns, self.rows.size)
             residuals = [part.factor @ self._vector[places] for part in parts]
             slopes[:, places] += weight * np.array([r @ part.factor for r, part in zip(residuals, parts, strict=True)])
-        slopes *= problem.independent
+        slopes *= problem.independent_fraction
         return slopes[np.any(slopes, axis=1)][:, self.columns]
 
     def squares_of(self, columns: IntArray) -> FloatArray:
         """Squares of some of its coefficients in units of their variances."""
         inverse, manifold = definite.inverse(self.fit.hessian), self.fit.objective.manifold
         slopes = manifold.whiten(self.fit.point, self._slopes)
-        real = self.columns >= self.rows.first
+        real = self.columns >= self.rows.first_column
         variances = np.diag(inverse)[real]
         inflation = self._inflation(self.columns[real], (slopes @ inverse)[:, real], variances)
         values = manifold.log(self.fit.objective.profile.prior, self.fit.point)[real]

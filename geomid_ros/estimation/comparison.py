@@ -21,7 +21,15 @@ import numpy as np
 
 from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.estimation.population import FEWEST, SHARED, Population, PopulationFit, RobotLikelihood, common, linear
+from geomid_ros.estimation.population import (
+    FEWEST,
+    SHARED,
+    Population,
+    PopulationFit,
+    RobotLikelihood,
+    common_likelihoods,
+    linear,
+)
 from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UNITS, UncertainInertia
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
@@ -109,7 +117,7 @@ class Compared:
         return sorted((item for item in self.differences if item.differs), key=lambda item: -item.score)
 
 
-def compared(first: RobotValues, second: RobotValues, chance: float = CHANCE) -> Compared:
+def compare_robots(first: RobotValues, second: RobotValues, chance: float = CHANCE) -> Compared:
     """Compare two results of one robot.
 
     Args:
@@ -206,7 +214,7 @@ def population_and_members(robots: Sequence[RobotLikelihood]) -> tuple[Populatio
     Raises:
         InputError: there are too few, or they have different links.
     """
-    shared = common(robots)
+    shared = common_likelihoods(robots)
     if len(shared) < 2 * FEWEST - 1:  # the half of them is no population
         population = PopulationFit(shared).population
         return population, [Membership(member=True, distance=1.0, unlike=())] * len(shared)

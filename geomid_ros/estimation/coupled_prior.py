@@ -84,7 +84,7 @@ class CoupledPrior(ABC):
 
     def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
         """Weights of the blocks, from the expected squares of their coordinates at a fit."""
-        tangent = self.tangent(found.place)
+        tangent = self.tangent(found.search_point)
         expected = np.column_stack([tangent, self._covariance_root(found, tangent)])
         weights = {}
         for name, off in zip(self.names, self.block_distances(before), strict=True):
@@ -96,8 +96,8 @@ class CoupledPrior(ABC):
         """Root ``(k, r)`` of the posterior covariance, in the prior's coordinates."""
         parent, manifold = self.problem.manifold, self.manifold
         blocks, diagonal = manifold.exp_jacobian(self.mean, tangent)
-        links = manifold.point(fit.place.parameters[self.columns]).links_jacobian
-        rest = parent.jacobian(fit.place)[1][self.columns[manifold.inertial.stop :] - parent.inertial.stop]
+        links = manifold.point(fit.search_point.parameters[self.columns]).links_jacobian
+        rest = parent.jacobian(fit.search_point)[1][self.columns[manifold.inertial.stop :] - parent.inertial.stop]
         root = definite.roots(fit.information, int(np.max(self.columns, initial=-1)) + 1)[self.columns]
         moved = np.swapaxes(np.linalg.solve(blocks, links), -1, -2)
         return manifold.by_blocks(root.T, moved, rest / diagonal).T
@@ -121,10 +121,10 @@ def fit_with_coupled_prior(
     found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted))
     weights = given or prior.weights(found, prior.trusted)
     for _ in range(ROUNDS):
-        point, before = found.place, weights
+        point, before = found.search_point, weights
         found = solve(prior.problem_at(point, weights), start=point, prior_stds=found.prior_stds)
         weights = given or prior.weights(found, before)
         change = max(abs(np.log(weights[name] / before[name])) for name in weights)
-        if change < SETTLED and np.max(np.abs(prior.tangent(found.place) - prior.tangent(point))) < SETTLED:
+        if change < SETTLED and np.max(np.abs(prior.tangent(found.search_point) - prior.tangent(point))) < SETTLED:
             return found, weights
     return replace(found, budget_exhausted=True), weights

@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
 from geomid_ros.model.effects import Quantity
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 

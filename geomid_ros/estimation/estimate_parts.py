@@ -16,7 +16,7 @@ from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray, frozen
 
 
@@ -71,8 +71,8 @@ def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> t
     """Effect estimates; each standard deviation includes the drift to other motions."""
     model, first = problem.model, problem.manifold.inertial.stop
     _, diagonal = problem.manifold.jacobian(point)
-    prior, variances = found.prior_spreads[first:] ** 2, np.diag(found.covariance)[first:]
-    wider = np.maximum(prior, problem.usual_errors(point) ** 2)
+    prior, variances = found.prior_stds[first:] ** 2, np.diag(found.covariance)[first:]
+    wider = np.maximum(prior, problem.default_coefficient_stds(point) ** 2)
     separate = 1.0 / (found.by_rows[first:] + 1.0 / wider)
     variances = np.where(wider > prior, np.maximum(variances, separate), variances)
     removed = np.clip(1.0 - variances / wider, 0.0, 1.0)
@@ -97,7 +97,7 @@ def posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) ->
         covariance=frozen(found.covariance),
         scales=problem.manifold.scales,
         prior=frozen(problem.prior),
-        prior_stds=frozen(found.prior_spreads),
+        prior_stds=frozen(found.prior_stds),
     )
 
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
-from geomid_ros.estimation.choice import Choice, choose
 from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_with_coupled_prior
+from geomid_ros.estimation.effect_selection import Choice, choose
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.file_fits import fit_files
-from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit, with_second_start
+from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, PopulationPrior
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.paper_estimator import OBJECTIVES
@@ -29,7 +29,7 @@ from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.estimation.uncertain_inertia import WITHIN
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
@@ -134,15 +134,15 @@ def estimate(
     full_problem = Problem(
         model,
         _pooled(model, summary),
-        given=prior,
+        given_parameters=prior,
         known=weighed_rows(model, settings.known).plus(known),
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
-        independent=_filter_fraction(summary, settings.cutoff),
+        independent_fraction=_filter_fraction(summary, settings.cutoff),
         given_stds=prior_stds,
     )
     # Repeats of a motion count when effects are chosen; for the uncertainty of the parameters they hardly do.
-    independent = full_problem.independent * subproblem(full_problem, _required_columns(model)).distinct
+    independent = full_problem.independent_fraction * subproblem(full_problem, _required_columns(model)).distinct
 
     def fitted(
         columns: IntArray,
@@ -150,12 +150,12 @@ def estimate(
         alternative: Choice | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> _Solved:
-        problem = replace(subproblem(full_problem, columns), independent=independent)
+        problem = replace(subproblem(full_problem, columns), independent_fraction=independent)
         solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
         if start is not None:
             solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), prior_stds=start.spreads)
         elif alternative is not None and alternative.parameters is not None:
-            solve = with_second_start(solve, problem.place(alternative.parameters[columns]), alternative.prior_stds)
+            solve = with_second_start(solve, problem.point_at(alternative.parameters[columns]), alternative.prior_stds)
         return _solve_with_prior(_coupled_prior(settings, problem), problem, solve, weights)
 
     kept_columns = None if warm is None else _kept_columns(model, warm)
@@ -184,7 +184,7 @@ def _coupled_prior(settings: EstimatorSettings, problem: Problem) -> CoupledPrio
     """Prior that couples parameters, or None: the population's, else that of parts that are alike in the URDF."""
     if settings.population is not None:
         return PopulationPrior.of(settings.population, problem)
-    return AlikePrior.of(settings.alike, problem) if settings.alike and problem.given is None else None
+    return AlikePrior.of(settings.alike, problem) if settings.alike and problem.given_parameters is None else None
 
 
 def _at_prior(settings: EstimatorSettings, problem: Problem) -> Problem:
@@ -240,7 +240,7 @@ def _filter_fraction(summary: RowSummary, cutoff: float) -> float:
     """Fraction of the rows that are independent after the filter; 1 for rows without times or without a filter."""
     if not (np.isfinite(cutoff) and summary.period > 0.0):
         return 1.0
-    return min(INDEPENDENT * cutoff * summary.period, 1.0)
+    return min(INDEPENDENT_ROWS_PER_PERIOD * cutoff * summary.period, 1.0)
 
 
 def _required_columns(model: MeasurementModel) -> IntArray:
@@ -279,21 +279,25 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         tolerance = max(settings.tolerance * float(np.min(prior_weights)) / geodesic.scale, np.finfo(float).eps)
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
     by_fold = summary.products(fitted.sigmas, manifold.dimension)
-    least = least_inflation(summary, settings.cutoff) * _filter_fraction(summary, settings.cutoff) / problem.independent
+    least = (
+        least_inflation(summary, settings.cutoff)
+        * _filter_fraction(summary, settings.cutoff)
+        / problem.independent_fraction
+    )
     errors = uncertainty.estimate_uncertainty(
         [_fold_at(manifold, solution.point, products) for products in by_fold],
         _known_at(manifold, solution.point, known),
-        1.0 / problem.independent,
+        1.0 / problem.independent_fraction,
         prior_weights,
         manifold.log(solution.point, prior_point),
         _parameter_groups(problem),
         least_inflation=least,
-        assumed_spreads=fitted.assumed_spreads,
+        assumed_prior_stds=fitted.assumed_prior_stds,
         expected=_information_at(manifold, solution.point, known.prior_rows),
     )
     parameters = np.zeros(whole.dimension)
     parameters[columns] = solution.point.parameters
-    factor = np.sqrt(min(errors.independent_fraction, problem.independent))
+    factor = np.sqrt(min(errors.independent_fraction, problem.independent_fraction))
     return Estimate(
         converged=solution.converged,
         reason=solution.reason,

@@ -16,7 +16,7 @@ import numpy as np
 
 from geomid_ros.estimation.fit import Fit
 from geomid_ros.model.coefficients import Coefficient
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 
@@ -63,4 +63,4 @@ def held_columns(model: MeasurementModel, columns: IntArray, elements: Collectio
 
 def _is_held(coefficient: Coefficient, elements: Collection[str]) -> bool:
     effect = coefficient.effect
-    return effect.of_sensor or effect.own[coefficient.index].said_by(elements)
+    return effect.is_sensor_error or effect.column_parameters[coefficient.index].said_by(elements)

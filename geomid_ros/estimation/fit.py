@@ -27,7 +27,7 @@ from geomid_ros.types import FloatArray
 
 CERTAINTY = 20.0
 """Weight of the default prior std, in directions of the tangent space: as much as two links."""
-INDEPENDENT = 2.67
+INDEPENDENT_ROWS_PER_PERIOD = 2.67
 """Independent rows per period of the filter's cutoff; the filter passes nothing above 1.5 times this frequency."""
 _BUDGET = 3  # times max_steps, for all rounds together: five times what measured robots need
 _SETTLED = 1e-7  # relative change of noise and prior std, which falls to about a third in a round
@@ -62,7 +62,7 @@ class Fit:
 
     Attributes:
         problem: the fitted problem.
-        place: end of the search, which uses products of the rows.
+        search_point: end of the search, which uses products of the rows.
         sigmas: standard deviations ``(groups,)``.
         prior_stds: prior std of each link ``(links,)``, geodesic distances.
         budget_exhausted: True if the search ended because the budget of steps was used up.
@@ -70,7 +70,7 @@ class Fit:
     """
 
     problem: Problem
-    place: Point
+    search_point: Point
     sigmas: FloatArray
     prior_stds: FloatArray
     budget_exhausted: bool
@@ -90,7 +90,9 @@ class Fit:
     @cached_property
     def solution(self) -> Solution:
         """Minimum of :attr:`objective`, computed from the rows themselves instead of their products."""
-        return trust_region(self.objective, self.place, _gradient(self.objective, self.tolerance), self.max_steps)
+        return trust_region(
+            self.objective, self.search_point, _gradient(self.objective, self.tolerance), self.max_steps
+        )
 
     @property
     def gamma(self) -> float:
@@ -103,7 +105,7 @@ class Fit:
         return self.solution.point
 
     @property
-    def assumed_spreads(self) -> FloatArray:
+    def assumed_prior_stds(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error, tangent coordinates."""
         return _every_spread(self.problem, self.prior_stds)
 
@@ -113,13 +115,14 @@ class Fit:
 
     @cached_property
     def _evaluation(self) -> Evaluation:
-        return self._rough.evaluate(self.place)
+        return self._rough.evaluate(self.search_point)
 
     @cached_property
     def information(self) -> FloatArray:
-        """Information ``(D, D)`` of the independent rows and of the prior, in tangent coordinates at :attr:`place`."""
+        """Information ``(D, D)`` of the independent rows and of the prior, in tangent coordinates at
+        :attr:`search_point`."""
         weights = np.diag(self._rough.prior_weights)
-        return np.asarray(self.problem.independent * (self._evaluation.information + weights))
+        return np.asarray(self.problem.independent_fraction * (self._evaluation.information + weights))
 
     @cached_property
     def score(self) -> float:
@@ -127,8 +130,10 @@ class Fit:
         are several minima: a link that absorbs an effect leaves its prior."""
         problem = self.problem
         volume = definite.log_determinant(self.information)
-        likelihood = 2.0 * problem.independent * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
-        widths = float(np.sum(np.log(problem.independent * self._rough.prior_weights)))
+        likelihood = (
+            2.0 * problem.independent_fraction * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
+        )
+        widths = float(np.sum(np.log(problem.independent_fraction * self._rough.prior_weights)))
         return likelihood + volume - widths + prior_std_cost(self.prior_stds, problem.default_stds)
 
 
@@ -173,7 +178,7 @@ def fit(
             sigmas, prior_stds = np.split(np.exp(extrapolation.next(before, after)), [len(sigmas)])
     return Fit(
         problem=problem,
-        place=point,
+        search_point=point,
         sigmas=sigmas,
         prior_stds=prior_stds,
         budget_exhausted=spent,
@@ -211,7 +216,7 @@ def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> Fl
     if problem.gamma is not None:
         return np.asarray(problem.gamma * measured * (DEFAULT_PRIOR_STD / prior_std) ** 2)
     # All rows enter the objective, but only a fraction is independent: prior and weighed masses count more in return.
-    return np.asarray(prior_std**-2.0 / problem.independent)
+    return np.asarray(prior_std**-2.0 / problem.independent_fraction)
 
 
 def _every_spread(problem: Problem, spreads: FloatArray) -> FloatArray:
@@ -231,7 +236,7 @@ def _objective(problem: Problem, measured: tuple[FloatArray, FloatArray], spread
     """Build the objective for these rows and these prior stds of the links."""
     manifold, prior = problem.manifold, problem.prior_point
     weights = _prior_weights(problem, spreads, _measured_weight(problem, measured))
-    factor = np.sqrt(max(1.0, 1.0 / problem.independent))
+    factor = np.sqrt(max(1.0, 1.0 / problem.independent_fraction))
     rows = np.concatenate([measured[0], factor * problem.known.rows])
     targets = np.concatenate([measured[1], factor * problem.known.targets])
     ones = np.ones(len(rows))
@@ -252,7 +257,7 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     manifold = problem.manifold
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
-    variances = definite.variances(problem.independent * information, links.stop)
+    variances = definite.variances(problem.independent_fraction * information, links.stop)
     return reestimated_prior_stds(
         manifold.log(problem.prior_point, solution.point)[links], variances, problem.default_stds
     )

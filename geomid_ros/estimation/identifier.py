@@ -14,10 +14,10 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_products import usable
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
-from geomid_ros.estimation.fit import INDEPENDENT
+from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD
 from geomid_ros.estimation.revocable_buffer import BufferedSample, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState
-from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.model.samples import REGIMES, SAMPLES_PER_PIECE, Samples, regimes
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -91,8 +91,8 @@ Solve: TypeAlias = Callable[[EstimationTask, RowSummary, WarmStart | None], Esti
 class Identifier:
     """Accumulate rows of samples, and solve for the parameters. One thread may add while another solves.
 
-    Samples with new rows are counted (:attr:`instants`). Rows of some channels can be left out from a sample on, as if
-    they had never been taken. This holds for samples that are buffered (:meth:`buffer_last`) and not settled yet.
+    Samples with new rows are counted (:attr:`sample_count`). Rows of some channels can be left out from a sample on, as
+    if they had never been taken. This holds for samples that are buffered (:meth:`buffer_last`) and not settled yet.
     Estimates use all rows that are not left out.
     """
 
@@ -114,7 +114,7 @@ class Identifier:
         weighed_rows(model, self._task.settings.known)
         self._lock = threading.Lock()
         self._held = 0
-        self.instants = 0
+        self.sample_count = 0
         """Number of samples with new rows so far: the number of the next one."""
         self._begin_anew()
 
@@ -128,7 +128,7 @@ class Identifier:
 
     def _empty_summary(self) -> RowSummary:
         buffer = self._buffer
-        apart = 1.0 / (INDEPENDENT * self._task.settings.cutoff)
+        apart = 1.0 / (INDEPENDENT_ROWS_PER_PERIOD * self._task.settings.cutoff)
         return RowSummary(self.model.channels, buffer.folds, buffer.block, buffer.forgetting_time, apart)
 
     def reset(self) -> None:
@@ -137,28 +137,28 @@ class Identifier:
             self._begin_anew()
 
     def add(
-        self, samples: Samples, without: slice = slice(0), carried: FloatArray | None = None
+        self, samples: Samples, absent_columns: slice = slice(0), payload_parameters: FloatArray | None = None
     ) -> tuple[IntArray, Rows, BoolArray]:
         """Add samples, in the order of time.
 
         Args:
             samples: the samples.
-            without: parameters of a body that the robot did not carry then.
-            carried: parameters ``(D,)`` of an additional payload. Its part is subtracted from the targets that are
-                learned from, but not from those returned.
+            absent_columns: parameters of a body that the robot did not carry then.
+            payload_parameters: parameters ``(D,)`` of an additional payload. Its part is subtracted from the targets
+                that are learned from, but not from those returned.
 
         Returns:
             Stamps ``(N,)`` and rows of the samples that are not standing still; and ``(N, channels)``, true for efforts
             of joints at rest or near a reversal, where dry friction may have any value.
         """
         rows = self.model.rows(samples)
-        rows.coefficients[:, :, without] = 0.0
+        rows.coefficients[:, :, absent_columns] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
         elapsed = np.zeros(len(samples))
         motion_regimes = self._regimes(samples)
         is_measured = usable(rows.coefficients, rows.targets)
         counts, targets = np.count_nonzero(is_measured, axis=1), np.where(is_measured, rows.targets, np.nan)
-        targets -= 0.0 if carried is None else rows.coefficients @ carried
+        targets -= 0.0 if payload_parameters is None else rows.coefficients @ payload_parameters
         speeds = np.max(np.abs(np.concatenate([samples.velocity, samples.base_velocity], axis=1)), axis=1)
         poses = np.concatenate([samples.position, samples.base_pose], axis=1)
         with self._lock:
@@ -186,12 +186,12 @@ class Identifier:
         """Take the rows of samples in which something moved."""
         if self._held == 0 and self._recent.idle:  # otherwise the buffer would pass them on at once
             self._summary.add(coefficients, targets, elapsed, motion_regimes, states)
-            self.instants += len(elapsed)
+            self.sample_count += len(elapsed)
             return
         for instant in zip(coefficients, targets, elapsed.tolist(), motion_regimes, states, strict=True):
-            self._recent.append(BufferedSample(self.instants, *instant))
-            self.instants += 1
-        self._settle_before(self.instants - self._held)
+            self._recent.append(BufferedSample(self.sample_count, *instant))
+            self.sample_count += 1
+        self._settle_before(self.sample_count - self._held)
 
     def _regimes(self, samples: Samples) -> IntArray:
         """Regime of motion of each channel ``(N, channels)``: for efforts that of their joint, else 0."""
@@ -209,10 +209,11 @@ class Identifier:
         _with(self._summary, settled)
 
     def buffer_last(self, instants: int) -> None:
-        """Buffer the last ``instants`` samples (none at first), whose rows can still be left out; settle the rest."""
+        """Buffer the last ``sample_count`` samples (none at first), whose rows can still be left out; settle the
+        rest."""
         with self._lock:
             self._held = instants
-            self._settle_before(self.instants - instants)
+            self._settle_before(self.sample_count - instants)
 
     def settle(self, before: int) -> None:
         """Settle samples ``before`` this number: their rows stay. Another thread that adds meanwhile hardly waits."""

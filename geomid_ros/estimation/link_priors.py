@@ -37,40 +37,43 @@ def common_prior_stds(parts: Sequence[AlikeParts], default_stds: FloatArray) -> 
     return spreads
 
 
-def deviation_from_common(parts: Sequence[AlikeParts], own: FloatArray, values: FloatArray) -> FloatArray:
+def deviation_from_common(parts: Sequence[AlikeParts], individual_stds: FloatArray, values: FloatArray) -> FloatArray:
     """Deviations ``(n, 10, k)`` of the n alike links from their common part, for ``values (10 links, k)`` of the
-    tangent coordinates of all links. The common part is the mean, weighted by the individual stds ``own (n,)``."""
+    tangent coordinates of all links. The common part is the mean, weighted by the individual stds ``individual_stds
+    (n,)``."""
     deviations, first = [np.zeros((0, SIZE, values.shape[1]))], 0
     for group in parts:
         members = np.array(group.members)[:, None] * SIZE + np.arange(SIZE)
         mirrored = np.array(group.signs)[:, :, None] * values[members]
-        precisions = own[first : first + len(members)] ** -2.0
+        precisions = individual_stds[first : first + len(members)] ** -2.0
         deviations.append(mirrored - np.tensordot(precisions / np.sum(precisions), mirrored, 1))
         first += len(members)
     return np.concatenate(deviations)
 
 
-def alike_rows(parts: Sequence[AlikeParts], own: FloatArray, size: int) -> FloatArray:
+def alike_rows(parts: Sequence[AlikeParts], individual_stds: FloatArray, size: int) -> FloatArray:
     """Rows ``(10 n, size)`` of the prior: the deviations from the common part, in units of the individual stds."""
-    return np.asarray((deviation_from_common(parts, own, np.eye(size)) / own[:, None, None]).reshape(-1, size))
+    return np.asarray(
+        (deviation_from_common(parts, individual_stds, np.eye(size)) / individual_stds[:, None, None]).reshape(-1, size)
+    )
 
 
 def reestimated_individual_stds(
-    parts: Sequence[AlikeParts], own: FloatArray, tangent: FloatArray, root: FloatArray
+    parts: Sequence[AlikeParts], individual_stds: FloatArray, tangent: FloatArray, root: FloatArray
 ) -> FloatArray:
     """Re-estimate the individual stds ``(n,)`` from those before; ``tangent (k,)``: coordinates of all links,
     ``root (k, r)``: a root of their covariance."""
-    off = deviation_from_common(parts, own, tangent[:, None]).ravel()
-    variances = np.sum(deviation_from_common(parts, own, root) ** 2, axis=2).ravel()
-    return reestimated_prior_stds(off, variances, np.full(len(own), ALIKE_PRIOR_STD))
+    off = deviation_from_common(parts, individual_stds, tangent[:, None]).ravel()
+    variances = np.sum(deviation_from_common(parts, individual_stds, root) ** 2, axis=2).ravel()
+    return reestimated_prior_stds(off, variances, np.full(len(individual_stds), ALIKE_PRIOR_STD))
 
 
-def individual_std_cost(parts: Sequence[AlikeParts], own: FloatArray) -> float:
-    """Minus twice the log density of the individual stds ``own (n,)``, with the normalisation of the rows, up to a
-    constant."""
-    cost, first = prior_std_cost(own, np.full(len(own), ALIKE_PRIOR_STD)), 0
+def individual_std_cost(parts: Sequence[AlikeParts], individual_stds: FloatArray) -> float:
+    """Minus twice the log density of the individual stds ``individual_stds (n,)``, with the normalisation of the rows,
+    up to a constant."""
+    cost, first = prior_std_cost(individual_stds, np.full(len(individual_stds), ALIKE_PRIOR_STD)), 0
     for group in parts:
-        precisions = own[first : first + len(group.members)] ** -2.0
+        precisions = individual_stds[first : first + len(group.members)] ** -2.0
         cost += SIZE * float(np.log(np.sum(precisions)) - np.sum(np.log(precisions)))
         first += len(precisions)
     return cost
@@ -172,7 +175,7 @@ class PopulationPrior(CoupledPrior):
         given = np.full(model.dimension, np.nan)
         given[columns] = subset.parameters
         spreads = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.default_stds)
-        return PopulationPrior(replace(problem, given=given, given_stds=spreads), columns, subset)
+        return PopulationPrior(replace(problem, given_parameters=given, given_stds=spreads), columns, subset)
 
     @property
     def manifold(self) -> ParameterManifold:

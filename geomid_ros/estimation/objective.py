@@ -252,7 +252,7 @@ class ProductsObjective:
 def rows_at(manifold: ParameterManifold, prior: Point, rows: FloatArray, targets: FloatArray) -> FloatArray:
     """Convert rows ``(N, D)`` to rows of :meth:`ParameterManifold.offset` the prior, with their residuals there as the
     last column, ``(N, D + 1)``. So known rows keep their precision in directions in which a link is thin."""
-    return np.column_stack([manifold.rows_off(prior, rows), rows @ prior.parameters - targets])
+    return np.column_stack([manifold.offset_rows(prior, rows), rows @ prior.parameters - targets])
 
 
 def dual_metric(manifold: ParameterManifold, point: Point) -> FloatArray:
@@ -347,8 +347,8 @@ def _with_prior(
     value, slope, products = rows
     prior_value, gradient, bends = _prior_terms(manifold, point, prior, weights)
     information = manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
-    information += manifold.whiten_off(prior, point, manifold.whiten_off(prior, point, known[1]).T)
-    slopes = manifold.whiten(point, slope[None])[0] + manifold.whiten_off(prior, point, known[0][None])[0]
+    information += manifold.whiten_offset_rows(prior, point, manifold.whiten_offset_rows(prior, point, known[1]).T)
+    slopes = manifold.whiten(point, slope[None])[0] + manifold.whiten_offset_rows(prior, point, known[0][None])[0]
     matrices = symmetric.to_matrix(-gradient[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
     line_bends = (matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T).reshape(bends.shape)
     rest = weights[manifold.inertial.stop :].copy()

@@ -95,7 +95,7 @@ class Population(RobotParameters):
         )
 
 
-def common(robots: Sequence[RobotLikelihood]) -> list[RobotLikelihood]:
+def common_likelihoods(robots: Sequence[RobotLikelihood]) -> list[RobotLikelihood]:
     """Likelihoods of the links and of the effects that all robots have.
 
     Raises:
@@ -124,7 +124,7 @@ class PopulationFit:
     """Population fit to robots that all belong to it, by expectation-maximisation."""
 
     def __init__(self, robots: Sequence[RobotLikelihood]) -> None:
-        """Fit at least :data:`FEWEST` robots with the same links and effects (:func:`common`)."""
+        """Fit at least :data:`FEWEST` robots with the same links and effects (:func:`common_likelihoods`)."""
         first = robots[0]
         self._robots = robots
         scales = np.median([robot.scales for robot in robots], axis=0)

@@ -18,7 +18,7 @@ from geomid_ros.estimation.starting_point import (
 )
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
@@ -37,21 +37,22 @@ class Problem:
     Attributes:
         model: measurement model of the rows.
         summary: the rows.
-        given: prior parameters ``(D,)`` where they are known, else NaN; None if none is.
+        given_parameters: prior parameters ``(D,)`` where they are known, else NaN; None if none is.
         known: rows of weighed masses and of priors.
         sigmas: standard deviations by channel where they are given ``(channels,)``, else NaN.
         gamma: weight of the prior as a fraction of the rows', if given.
-        independent: fraction of the rows that counts as independent: the filter correlates rows, and motions repeat.
+        independent_fraction: fraction of the rows that counts as independent: the filter correlates rows, and motions
+            repeat.
         given_stds: default prior std of the links ``(links,)``, if not that of CAD files.
     """
 
     model: MeasurementModel
     summary: RowSummary
-    given: FloatArray | None
+    given_parameters: FloatArray | None
     known: WeighedRows
     sigmas: FloatArray
     gamma: float | None
-    independent: float
+    independent_fraction: float
     given_stds: FloatArray | None = None
 
     def with_known_rows(self, known: WeighedRows) -> Problem:
@@ -77,7 +78,7 @@ class Problem:
         """Scale of each coefficient ``(coefficients,)``, see :func:`scales_of_coefficients`."""
         return scales_of_coefficients(self.model, self.summary)
 
-    def usual_errors(self, point: Point) -> FloatArray:
+    def default_coefficient_stds(self, point: Point) -> FloatArray:
         """Default prior std ``(coefficients,)`` of the coefficients, in tangent coordinates at a point.
 
         The prior std of a positive coefficient is relative to its value. Near zero that is too small: it is no better
@@ -86,20 +87,20 @@ class Problem:
         """
         positive, real = np.split(self.prior_stds[self.manifold.inertial.stop :], [self.model.positives])
         least = DEFAULT_PRIOR_STD * self.scales[: self.model.positives] / point.positives
-        fitted = np.abs(self.prior_point.reals) / self.manifold.scales if self.given is None else 0.0
+        fitted = np.abs(self.prior_point.reals) / self.manifold.scales if self.given_parameters is None else 0.0
         return np.concatenate([np.maximum(positive, least), np.maximum(real, fitted)])
 
     @cached_property
     def prior_stds(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error, tangent coordinates, before the links' are fitted."""
-        spreads = prior_stds_of(self.model, self.manifold, self.given)
+        spreads = prior_stds_of(self.model, self.manifold, self.given_parameters)
         spreads[self.manifold.inertial] = np.repeat(self.default_stds, 10)
         return spreads
 
     @cached_property
     def prior(self) -> FloatArray:
         """Parameters ``(D,)`` that distances are measured from."""
-        return prior_parameters(self.model, self.summary, self.given)
+        return prior_parameters(self.model, self.summary, self.given_parameters)
 
     @cached_property
     def prior_point(self) -> Point:
@@ -122,7 +123,7 @@ class Problem:
 
     @property
     def _known_factor(self) -> float:
-        return max(1.0, 1.0 / self.independent)
+        return max(1.0, 1.0 / self.independent_fraction)
 
     @cached_property
     def row_weights(self) -> FloatArray:
@@ -186,7 +187,7 @@ class Problem:
         differences between repeats are left. The fraction is at least that of the rows in different states.
         """
         distinct = self.summary.visited.distinct
-        rows = self.independent * float(np.sum(self.counts[self.row_weights > 0.0]))  # informative ones
+        rows = self.independent_fraction * float(np.sum(self.counts[self.row_weights > 0.0]))  # informative ones
         if distinct == 1.0 or rows == 0.0:
             return 1.0
         unfitted = 1.0 - self._followed / np.array([distinct * rows, rows])
@@ -196,12 +197,12 @@ class Problem:
     def _followed(self) -> float:
         """Effective number of parameters that the rows determine rather than the prior."""
         products = self.products.weighed(self.first_noise**-2.0)[:-1, :-1]
-        half = self.manifold.whiten(self.prior_point, self.independent * products) * self.prior_stds
+        half = self.manifold.whiten(self.prior_point, self.independent_fraction * products) * self.prior_stds
         information = self.manifold.whiten(self.prior_point, half.T) * self.prior_stds
         values = np.maximum(np.linalg.eigvalsh(information), 0.0)
         return float(np.sum(values / (1.0 + values)))
 
-    def place(self, parameters: FloatArray) -> Point:
+    def point_at(self, parameters: FloatArray) -> Point:
         """Point of ``parameters (D,)``; zero entries, which are left out, get the prior's value, because positive
         coefficients cannot be zero."""
         return self.manifold.point(np.where(parameters == 0.0, self.prior, parameters))
@@ -212,14 +213,14 @@ class Problem:
         return self._with_given(self.least_sigmas)
 
 
-def subproblem(whole: Problem, columns: IntArray) -> Problem:
+def subproblem(problem: Problem, columns: IntArray) -> Problem:
     """Return the problem of these parameters alone; all other coefficients are zero."""
-    first = whole.model.dimension - len(whole.model.coefficients)
-    model = whole.model.with_coefficients([int(column) - first for column in columns if column >= first])
+    first = problem.model.dimension - len(problem.model.coefficients)
+    model = problem.model.with_coefficients([int(column) - first for column in columns if column >= first])
     return replace(
-        whole,
+        problem,
         model=model,
-        summary=whole.summary.with_columns(model.channels, columns),
-        given=None if whole.given is None else whole.given[columns],
-        known=replace(whole.known, rows=whole.known.rows[:, columns]),
+        summary=problem.summary.with_columns(model.channels, columns),
+        given_parameters=None if problem.given_parameters is None else problem.given_parameters[columns],
+        known=replace(problem.known, rows=problem.known.rows[:, columns]),
     )

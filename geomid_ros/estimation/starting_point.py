@@ -12,7 +12,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES, REST_SPEED
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 

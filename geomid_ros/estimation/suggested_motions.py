@@ -19,7 +19,7 @@ from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified
 from geomid_ros.estimation.uncertainty import with_enlarged_prior
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import ACCELERATION_PER_SPEED, Samples, random_states, samples_of
 from geomid_ros.types import FloatArray
 

@@ -123,6 +123,6 @@ def sizes(parameters: FloatArray) -> FloatArray:
     return np.concatenate([[mass], np.full(3, extent), products, np.full(3, mass * extent)])
 
 
-def numbers(parameters: FloatArray) -> FloatArray:
+def quantities_and_moments(parameters: FloatArray) -> FloatArray:
     """Quantities and first moments ``(..., 13)`` of bodies ``(..., 10)``."""
     return np.concatenate([pseudo_inertia.quantities_of(parameters), parameters[..., 1:4]], axis=-1)

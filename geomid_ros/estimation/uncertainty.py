@@ -37,10 +37,10 @@ class Fold:
 
 @dataclass(frozen=True, eq=False)
 class ParameterGroup:
-    """Tangent coordinates ``columns`` that share one prior std, by default ``usual_spread``."""
+    """Tangent coordinates ``columns`` that share one prior std, by default ``default_prior_std``."""
 
     columns: IntArray
-    usual_spread: float
+    default_prior_std: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +49,14 @@ class Uncertainty:
 
     Attributes:
         covariance: ``(D, D)`` of the estimate's error.
-        inherited: The part of it that the prior's error causes.
+        covariance_from_prior: The part of it that the prior's error causes.
         prior: Covariance ``(D, D)`` of the prior's error.
         independent_fraction: Fraction of the measured rows' information that correlations leave, 0 to 1.
         by_rows: Information ``(D,)`` of the rows on each coordinate, with the others free within their priors.
     """
 
     covariance: FloatArray
-    inherited: FloatArray
+    covariance_from_prior: FloatArray
     prior: FloatArray
     independent_fraction: float
     by_rows: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -64,10 +64,10 @@ class Uncertainty:
     @property
     def with_enlarged_prior(self) -> FloatArray:
         """Covariance ``(D, D)`` for enlarged prior errors, see :func:`with_enlarged_prior`."""
-        return with_enlarged_prior(self.covariance, self.inherited)
+        return with_enlarged_prior(self.covariance, self.covariance_from_prior)
 
     @property
-    def prior_spreads(self) -> FloatArray:
+    def prior_stds(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error."""
         return np.asarray(np.sqrt(np.diag(self.prior)))
 
@@ -91,7 +91,7 @@ def estimate_uncertainty(
     groups: Sequence[ParameterGroup],
     *,
     least_inflation: float = 1.0,
-    assumed_spreads: FloatArray | float = 0.0,
+    assumed_prior_stds: FloatArray | float = 0.0,
     expected: FloatArray | float = 0.0,
 ) -> Uncertainty:
     """Uncertainty of a regularised estimate.
@@ -108,7 +108,7 @@ def estimate_uncertainty(
         from_prior: Tangent coordinates ``(D,)`` of the prior at the estimate.
         groups: A partition of all coordinates.
         least_inflation: Least inflation factor: what the filter of the rows is known to cause.
-        assumed_spreads: Standard deviations ``(D,)`` of the prior's error that the estimate assumed; a lower bound.
+        assumed_prior_stds: Standard deviations ``(D,)`` of the prior's error that the estimate assumed; a lower bound.
         expected: Information ``(D, D)`` of those known rows that belong to the prior.
     """
     weights = np.maximum(prior_weights, np.finfo(float).tiny)
@@ -120,7 +120,7 @@ def estimate_uncertainty(
     factors = np.max(inflations, axis=0)
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
-    spreads = np.maximum(prior_spreads(independent, from_prior, groups), assumed_spreads)
+    spreads = np.maximum(estimated_prior_stds(independent, from_prior, groups), assumed_prior_stds)
     parts = measured.information, trust, known.information
     noise, inherited = error_covariance(inverse, *parts, factors, weights * spreads)
     covariance = noise + inherited
@@ -226,7 +226,7 @@ def variance_inflation(
     return result
 
 
-def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[ParameterGroup]) -> FloatArray:
+def estimated_prior_stds(rows: Fold, from_prior: FloatArray, groups: Sequence[ParameterGroup]) -> FloatArray:
     """Standard deviations ``(D,)`` of the prior's errors, one per group, that maximise the marginal likelihood.
 
     The likelihood is that of ``rows`` with independent errors of standard deviation 1; the prior lies at
@@ -234,7 +234,7 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
     posterior's mean from the prior, over the number of directions that the data determine. If they determine none, the
     default stays.
     """
-    usual = np.array([group.usual_spread for group in groups])
+    usual = np.array([group.default_prior_std for group in groups])
     member = np.empty(len(from_prior), dtype=np.int64)
     for index, group in enumerate(groups):
         member[group.columns] = index
@@ -288,8 +288,8 @@ def links_information(
     size, first = manifold.dimension, manifold.inertial.stop
     _, diagonal = manifold.jacobian(point)
     effect_rows = np.zeros((size - first, size + 1))
-    effect_rows[:, first:size] = np.diag(1.0 / (diagonal * found.prior_spreads[first:]))
-    effect_rows[:, size] = -manifold.log(point, prior)[first:] / found.prior_spreads[first:]
+    effect_rows[:, first:size] = np.diag(1.0 / (diagonal * found.prior_stds[first:]))
+    effect_rows[:, size] = -manifold.log(point, prior)[first:] / found.prior_stds[first:]
     data_rows = [
         factor * np.column_stack([rows, rows @ point.parameters - targets])
         for factor, rows, targets in (

@@ -85,29 +85,29 @@ class ApproachPath:
     """Straight joint-space paths of some joints of a robot, while its other joints are at rest."""
 
     def __init__(
-        self, robot: Robot, joints: Sequence[str], standing: FloatArray, collision: CollisionModel | None = None
+        self, robot: Robot, joints: Sequence[str], rest_positions: FloatArray, collision: CollisionModel | None = None
     ) -> None:
         """
         Args:
             robot: with all its joints.
             joints: the moving joints, in the order of all arrays of this class.
-            standing: positions of all joints of the robot.
+            rest_positions: positions of all joints of the robot.
             collision: bodies that must not touch; None if they are not checked.
         """
-        self._robot, self._standing, self._collision = robot, standing, collision
+        self._robot, self._standing, self._collision = robot, rest_positions, collision
         self._places = [robot.joint_names.index(name) for name in joints]
         self._low, self._high = robot.position_limits[self._places].T
         self._clearances = np.zeros(0)
 
-    def keep(self, ends: FloatArray, clearance: float) -> None:
+    def require_clearance(self, ends: FloatArray, clearance: float) -> None:
         """Require a ``clearance`` [m] from now on, or half of a pair's distance at ``ends (N, joints)`` where that is
         less."""
         if self._collision is not None:
-            self._clearances = clearances_from(self._collision, self.whole(ends), clearance)
+            self._clearances = clearances_from(self._collision, self.all_positions(ends), clearance)
 
     def overlap(self, position: FloatArray) -> str:
         """Describe the pair that overlaps most at a position ``(joints,)``; empty if none does."""
-        return "" if self._collision is None else overlap(self._collision, self.whole(position[None])[0])
+        return "" if self._collision is None else overlap(self._collision, self.all_positions(position[None])[0])
 
     def check(self, motion: Trajectory, source: str) -> None:
         """Refuse a motion on which bodies come too close. Raises InputError naming ``source``."""
@@ -121,19 +121,19 @@ class ApproachPath:
         if not spacing.verify():
             raise InputError(f"{source}: {_said(*spacing.worst)}, {spacing.worst[2]:.2f} s after the motion's start")
 
-    def to(self, here: FloatArray, there: FloatArray) -> list[FloatArray]:
-        """Find postures to pass from ``here`` to ``there (joints,)``, which is the last: none or one in between.
+    def find_postures(self, start: FloatArray, goal: FloatArray) -> list[FloatArray]:
+        """Find postures to pass from ``start`` to ``goal (joints,)``, which is the last: none or one in between.
 
         Raises InputError naming the obstacle.
         """
-        if not (obstacle := self._obstacle(here, there)):
-            return [there]
+        if not (obstacle := self._obstacle(start, goal)):
+            return [goal]
         low, high = np.maximum(self._low, -UNLIMITED_RANGE), np.minimum(self._high, UNLIMITED_RANGE)
         vias = np.random.default_rng(0).uniform(low, high, (RANDOM_POSTURES, len(low)))
-        vias = vias[np.argsort(np.max(np.abs(vias - here), axis=1) + np.max(np.abs(vias - there), axis=1))]
+        vias = vias[np.argsort(np.max(np.abs(vias - start), axis=1) + np.max(np.abs(vias - goal), axis=1))]
         for posture in vias:
-            if not self._obstacle(here, posture) and not self._obstacle(posture, there):
-                return [posture, there]
+            if not self._obstacle(start, posture) and not self._obstacle(posture, goal):
+                return [posture, goal]
         raise InputError(
             f"the approach to the start is not free: {obstacle}; move the robot closer to the start by hand"
         )
@@ -145,7 +145,7 @@ class ApproachPath:
 
     def _too_heavy(self, positions: FloatArray) -> str:
         """Describe a joint too weak for gravity at ``positions (N, joints)``, by the URDF's inertias; empty if none."""
-        robot, all_positions = self._robot, self.whole(positions)
+        robot, all_positions = self._robot, self.all_positions(positions)
         efforts = robot.joint_efforts(*robot.moved(np.array([all_positions, 0.0 * all_positions, 0.0 * all_positions])))
         loads = np.max(np.abs(efforts), axis=0) / robot.effort_limits
         worst = int(np.argmax(loads))
@@ -171,7 +171,7 @@ class ApproachPath:
         all_states[..., self._places] = moving
         return all_states
 
-    def whole(self, positions: FloatArray) -> FloatArray:
+    def all_positions(self, positions: FloatArray) -> FloatArray:
         """Positions of all joints ``(N, all)``, from those of the moving ones ``(N, joints)``."""
         all_positions = np.tile(self._standing, (len(positions), 1))
         all_positions[:, self._places] = positions

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
-from geomid_ros.excitation.knowledge import Belief
+from geomid_ros.excitation.belief import Belief
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.model.collision import CollisionModel, Pair
@@ -123,7 +123,7 @@ class Feasibility:
 
     def __init__(
         self,
-        knowledge: Belief,
+        belief: Belief,
         limits: MotionLimits,
         start: FloatArray,
         collision: CollisionModel | None = None,
@@ -133,8 +133,8 @@ class Feasibility:
 
         Raises InputError for a start that is not feasible itself.
         """
-        self.knowledge, self.limits, self.start, self.collision = knowledge, limits, start, collision
-        self.names, self.clearance = knowledge.model.robot.joint_names, clearance
+        self.belief, self.limits, self.start, self.collision = belief, limits, start, collision
+        self.names, self.clearance = belief.model.robot.joint_names, clearance
         self.edge = np.minimum(_EDGE, _EDGE * np.diff(limits.position)[:, 0])
         self._check_start()
         self.clearances = np.zeros(0)
@@ -163,9 +163,9 @@ class Feasibility:
 
     def _effort_shares(self, states: FloatArray) -> FloatArray:
         """Used fractions of the effort limits ``(N, J)`` at ``states (3, N, J)``, with their uncertainty."""
-        rows = self.knowledge.rows_of_parameters(states)[:, : len(self.names)]
-        efforts = rows @ self.knowledge.posterior.parameters
-        deviations = self.knowledge.deviations_of(rows @ self.knowledge.posterior.jacobian)
+        rows = self.belief.rows_of_parameters(states)[:, : len(self.names)]
+        efforts = rows @ self.belief.posterior.parameters
+        deviations = self.belief.prediction_stds(rows @ self.belief.posterior.jacobian)
         return np.asarray((np.abs(efforts) + STDS_OF_95 * deviations) / self.limits.effort)
 
     def largest_scale(self, motion: ExcitingMotion) -> FloatArray:

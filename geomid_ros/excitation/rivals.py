@@ -10,14 +10,14 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from geomid_ros.estimation.tolerances import ROUNDING_OF_PRODUCTS
+from geomid_ros.excitation.belief import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.search import FEASIBILITY_EVALUATIONS, Search, random_motion
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, OnLink, Place, Situation, SituationEffect, Values
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import SIGN, Samples, samples_of
 from geomid_ros.types import FloatArray
 
@@ -117,15 +117,15 @@ def coefficients_of(effect: type[Effect], values: Values, parts: Sequence[Effect
 class DiscriminationCriterion:
     """Criterion of how clearly a motion decides disputes between named effects."""
 
-    def __init__(self, knowledge: Belief, ambiguities: Sequence[Ambiguity]) -> None:
-        self._knowledge, self.disputes = knowledge, ambiguities
+    def __init__(self, belief: Belief, ambiguities: Sequence[Ambiguity]) -> None:
+        self._knowledge, self.ambiguities = belief, ambiguities
         self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
         """Variant and coefficients with which each rival imitates the finding, by ambiguity and rival."""
 
     def prepare(self, reference: ExcitingMotion) -> None:
         """Fit each rival to its finding on a ``reference`` motion, and scale it to leave as much effort unexplained."""
         rows, columns = self._at(reference)
-        for i, dispute in enumerate(self.disputes):
+        for i, dispute in enumerate(self.ambiguities):
             target, nuisance = columns(dispute.found)[0] @ dispute.coefficients, self._nuisance(rows, columns, dispute)
             for j, rival in enumerate(dispute.rivals):
                 fits = [nuisance.fit(variant, target) for variant in columns(rival)]
@@ -140,7 +140,7 @@ class DiscriminationCriterion:
         rows, columns = self._at(motion)
         penalty = float(np.log(ROWS_PER_SECOND * motion.form.duration * len(motion.start)))
         by_dispute = []
-        for i, dispute in enumerate(self.disputes):
+        for i, dispute in enumerate(self.ambiguities):
             found_columns, nuisance = columns(dispute.found), self._nuisance(rows, columns, dispute)
             by_rival = []
             for j, rival in enumerate(dispute.rivals):
@@ -156,7 +156,7 @@ class DiscriminationCriterion:
             by_dispute.append(by_rival)
         return by_dispute
 
-    def least(self, motion: ExcitingMotion) -> float:
+    def smallest_difference(self, motion: ExcitingMotion) -> float:
         """Smallest difference of all disputes and rivals."""
         return min(difference for differences in self.differences(motion) for difference in differences)
 
@@ -164,7 +164,7 @@ class DiscriminationCriterion:
         self, rows: FloatArray, columns: Callable[[NamedEffect], list[FloatArray]], dispute: Ambiguity
     ) -> _Nuisance:
         """Nuisance parameters, refitted with either effect: inertias, and the other findings near their sizes."""
-        findings = [finding for finding in self.disputes if finding is not dispute]
+        findings = [finding for finding in self.ambiguities if finding is not dispute]
         finding_columns = [columns(finding.found)[0] for finding in findings]
         sizes = np.concatenate([np.zeros(0), *(finding.coefficients for finding in findings)])
         precision = np.diag(1.0 / np.maximum(sizes**2, np.finfo(float).tiny))
@@ -178,7 +178,7 @@ class DiscriminationCriterion:
         states = motion.at(np.asarray((np.arange(count) + 0.5) * step))[:3]
         weights = np.sqrt(ROWS_PER_SECOND * motion.form.duration / count) / self._knowledge.sigmas[: states.shape[2]]
         rows = self._knowledge.rows(states)[:, : states.shape[2]] * weights[:, None]
-        effects = [name for dispute in self.disputes for name in (dispute.found, *dispute.rivals)]
+        effects = [name for dispute in self.ambiguities for name in (dispute.found, *dispute.rivals)]
         pairs = dict.fromkeys((variant, name.place) for name in effects for variant in name.variants)
         by_pair = dict(zip(pairs, responses(self._knowledge.model, states, step, [*pairs]), strict=True))
 
@@ -229,7 +229,7 @@ def discriminating_motion(
     costs = Search(feasibility, form, evaluations=FEASIBILITY_EVALUATIONS)
 
     def value(motion: ExcitingMotion) -> float:
-        difference = criterion.least(motion)
+        difference = criterion.smallest_difference(motion)
         # The logarithm above 1, continued linearly below.
         gain = np.log(difference) if difference > 1.0 else difference - 1.0
         return costs.cost(motion) - float(gain)
@@ -249,4 +249,4 @@ def discriminating_motion(
         # One success in five keeps the size of the step (Rechenberg 1973).
         step *= _GROWTH if better else _GROWTH**-0.25
     # Bending a motion into the limits may lose the discrimination. Shrinking keeps its shape.
-    return max((feasibility.shrunk_to_feasible(best), costs.improved(best)), key=criterion.least)
+    return max((feasibility.shrunk_to_feasible(best), costs.improved(best)), key=criterion.smallest_difference)

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.excitation.belief import covariance_of
 from geomid_ros.excitation.feasibility import HALVINGS, Feasibility
-from geomid_ros.excitation.knowledge import covariance_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.model.dynamics import STEP
 from geomid_ros.types import FloatArray
@@ -42,7 +42,7 @@ def random_motion(feasibility: Feasibility, form: MotionForm, random: np.random.
 
 def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionForm) -> Criterion:
     """Criterion: the trace of a ``weight (D, D)`` times the covariance after a motion of that form."""
-    knowledge = feasibility.knowledge
+    knowledge = feasibility.belief
     precision = knowledge.precision
 
     def criterion(rows: FloatArray) -> tuple[float, FloatArray]:
@@ -141,8 +141,8 @@ class Search:
         states = self._states(motion)
         value = self._of_limits(states)[0] + self._of_distances(states)[0]
         if self.criterion is not None:
-            rows = self.feasibility.knowledge.rows(states[:3])
-            value += self.criterion(rows / self.feasibility.knowledge.sigmas[:, None])[0] + self._of_efforts(rows)[0]
+            rows = self.feasibility.belief.rows(states[:3])
+            value += self.criterion(rows / self.feasibility.belief.sigmas[:, None])[0] + self._of_efforts(rows)[0]
         return value
 
     def _value_and_slope(self, motion: ExcitingMotion) -> tuple[float, FloatArray]:
@@ -158,7 +158,7 @@ class Search:
         """Criterion plus the penalty of efforts, and the gradient ``(3, N, J)`` by the states."""
         if self.criterion is None:
             return 0.0, np.zeros_like(states[:3])
-        knowledge, (count, joints) = self.feasibility.knowledge, states.shape[1:]
+        knowledge, (count, joints) = self.feasibility.belief, states.shape[1:]
         nearby = self._rows_nearby(states)
         rows = nearby[0] @ knowledge.posterior.jacobian
         value, by_rows = self.criterion(rows / knowledge.sigmas[:, None])
@@ -172,7 +172,7 @@ class Search:
     @cached_property
     def _whitened_parameters(self) -> FloatArray:
         """Parameters in tangent coordinates ``(D,)``: tangent rows times these are efforts."""
-        posterior = self.feasibility.knowledge.posterior
+        posterior = self.feasibility.belief.posterior
         return np.asarray(np.linalg.solve(posterior.jacobian, posterior.parameters))
 
     def _rows_nearby(self, states: FloatArray) -> FloatArray:
@@ -181,7 +181,7 @@ class Search:
         count, joints = states.shape[1:]
         steps = STEP * np.eye(3 * joints).reshape(3 * joints, 3, 1, joints)
         near = np.concatenate([states[None, :3], states[None, :3] + steps]).swapaxes(0, 1).reshape(3, -1, joints)
-        rows = self.feasibility.knowledge.rows_of_parameters(near)
+        rows = self.feasibility.belief.rows_of_parameters(near)
         return rows.reshape(3 * joints + 1, count, *rows.shape[1:])
 
     def _of_limits(self, states: FloatArray) -> tuple[float, FloatArray]:
@@ -197,9 +197,9 @@ class Search:
 
     def _of_efforts(self, rows: FloatArray) -> tuple[float, FloatArray]:
         """Penalty of efforts near limits, and its gradient ``(N, J)``; their uncertainty is taken as constant."""
-        knowledge, limit = self.feasibility.knowledge, self.feasibility.limits.effort
+        knowledge, limit = self.feasibility.belief, self.feasibility.limits.effort
         rows = rows[:, : len(limit)]
-        available = np.maximum(limit - STDS_OF_95 * knowledge.deviations_of(rows), 0.05 * limit)
+        available = np.maximum(limit - STDS_OF_95 * knowledge.prediction_stds(rows), 0.05 * limit)
         return _hinge(rows @ self._whitened_parameters / available, 1.0 / available)
 
     def _of_distances(self, states: FloatArray) -> tuple[float, FloatArray]:

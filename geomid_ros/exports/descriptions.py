@@ -30,7 +30,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
-    from geomid_ros.exports.model import Model
+    from geomid_ros.exports.model import ExportModel
     from geomid_ros.exports.payload import Export
 
 _MOVEIT_NOTE = (
@@ -96,7 +96,9 @@ class DescriptionFormat(NamedTuple):
         return formats.xml_comment([*comments, f"  in the frame of link '{export.frame}'"]) + self.inertial(export)
 
 
-def described(model: Model, reader: str, links: Sequence[Export], packages: Mapping[str, Path]) -> DescriptionFiles:
+def described(
+    model: ExportModel, reader: str, links: Sequence[Export], packages: Mapping[str, Path]
+) -> DescriptionFiles:
     """Return the whole robot for a reader, followed by a comment on its ``links`` and on what the text omits."""
     text, omissions, beside = DESCRIPTIONS[reader].whole(as_described(model, packages))
     lacks = [*not_representable(model, ELEMENTS[reader]), *omissions]
@@ -104,7 +106,7 @@ def described(model: Model, reader: str, links: Sequence[Export], packages: Mapp
     return DescriptionFiles(text.rstrip() + "\n" + formats.xml_comment(lines), lacks, beside)
 
 
-def not_representable(model: Model, files: tuple[str, ...]) -> list[str]:
+def not_representable(model: ExportModel, files: tuple[str, ...]) -> list[str]:
     """Return a sentence on the effects of a model that these files cannot represent, if there are any."""
     names = unrepresentable(model.known, files)
     refit = [] if model.fitted else ["estimate.json is of an earlier version: identify again for a fit without these"]
@@ -147,13 +149,13 @@ def _mujoco(robot: RobotToDescribe) -> DescriptionFiles:
     return DescriptionFiles(text, [*missing[:_MOST_MISSING], *summary])
 
 
-def as_described(model: Model, packages: Mapping[str, Path] = MappingProxyType({})) -> RobotToDescribe:
+def as_described(model: ExportModel, packages: Mapping[str, Path] = MappingProxyType({})) -> RobotToDescribe:
     """Return the input for a description of a model."""
     read = partial(described_robot, model)
     return RobotToDescribe(model.urdf, model.urdf_path, model.effects, model.gravity, read, packages)
 
 
-def described_robot(model: Model) -> Robot:
+def described_robot(model: ExportModel) -> Robot:
     """Return the robot with the identified bodies; joints between links identified as one body are locked."""
     merged = {link for body in model.bodies.values() for link in body.merged}
     return Robot(

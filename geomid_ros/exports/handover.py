@@ -26,7 +26,7 @@ from geomid_ros.files.schema import attributes_entry
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, Effect, MotionEffect, Place, effect_class
 from geomid_ros.model.effects.situation import pair_name, place_named
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.urdf_tree import read_xml
@@ -61,7 +61,7 @@ class ReadBack:
         used = set[str]()
         for cls in (effect for effect in EFFECTS.values() if issubclass(effect, MotionEffect)):
             places = {form.name: form.place_in(ELEMENTS[self.reader]) for form in cls.parameters}
-            sizes = {places[form.name] for form in cls.grid()[0].own if places[form.name]}
+            sizes = {places[form.name] for form in cls.grid()[0].column_parameters if places[form.name]}
             if not used & sizes:
                 used |= sizes
                 for name in {name for name, at in self.attributes if at in sizes}:
@@ -207,9 +207,9 @@ class DescriptionTest:
         """Texts of the files by name: the description, and the files beside it."""
         return {self.name: self._whole.text, **self._whole.extra_files}
 
-    def judged(self, batches: Sequence[Samples], found: Mapping[str, float]) -> FileTest:
-        """Test the file on samples. ``found``: residual RMS of the full estimate on them, by channel. Raises InputError
-        if the program rejects the file."""
+    def evaluate(self, batches: Sequence[Samples], full_rms: Mapping[str, float]) -> FileTest:
+        """Test the file on samples. ``full_rms``: residual RMS of the full estimate on them, by channel. Raises
+        InputError if the program rejects the file."""
         effects = model_effects(self.estimate, self.session.loaded.effects)
         lacks = {
             channel.name: unrepresentable(
@@ -218,14 +218,20 @@ class DescriptionTest:
             for channel in self.session.model.channels
         }
         return evaluate_description(
-            self.session, self.reader, self._whole, batches, found, errors=self._errors_of_sensors, lacks=lacks
+            self.session,
+            self.reader,
+            self._whole,
+            batches,
+            full_rms,
+            errors=self._errors_of_sensors,
+            omitted_effects=lacks,
         )
 
     @property
     def _errors_of_sensors(self) -> FloatArray:
         """Parameters ``(D,)`` of the sensor errors, which are in files beside the description."""
         model = self.session.model
-        of_sensors = [effect for effect in self.model.effects if effect_class(effect.effect).of_sensor]
+        of_sensors = [effect for effect in self.model.effects if effect_class(effect.effect).is_sensor_error]
         return np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
 
 
@@ -245,8 +251,9 @@ class FileTest:
         alone: of the file by itself.
         corrected: of the file, with the sensor errors from the files beside it.
         given: of the given description.
-        found: of the full estimate, including effects that the file cannot represent.
-        lacks: effects of the estimate that the file cannot represent, in words; not of channels where this is unknown.
+        full_rms: of the full estimate, including effects that the file cannot represent.
+        omitted_effects: effects of the estimate that the file cannot represent, in words; not of channels where this is
+            unknown.
     """
 
     name: str
@@ -254,8 +261,8 @@ class FileTest:
     alone: Mapping[str, float]
     corrected: Mapping[str, float]
     given: Mapping[str, float]
-    found: Mapping[str, float]
-    lacks: Mapping[str, Sequence[str]]
+    full_rms: Mapping[str, float]
+    omitted_effects: Mapping[str, Sequence[str]]
 
     @property
     def sentence(self) -> str:
@@ -286,7 +293,7 @@ class FileTest:
                 yield name, sentence
 
     def _estimate_is_worse(self, channel: str) -> bool:
-        return all(self._is_worse(channel, kind[channel]) for kind in (self.corrected, self.found))
+        return all(self._is_worse(channel, kind[channel]) for kind in (self.corrected, self.full_rms))
 
     def _is_worse(self, channel: str, rms: float) -> bool:
         return rms > WORSE * self.given[channel]
@@ -294,7 +301,7 @@ class FileTest:
     def _reason(self, channel: str) -> str:
         if not self._is_worse(channel, corrected := self.corrected[channel]):
             return f", {corrected:.3g} with the errors of sensors in effects.yaml; {_ADD}"
-        lacks = self.lacks.get(channel)
+        lacks = self.omitted_effects.get(channel)
         return (f" (it cannot hold {'; '.join(lacks)})" if lacks else "") + f"; {_ADVICE}"
 
     @property
@@ -314,31 +321,31 @@ _ADVICE = "choose another format (--for), or record more motion of this joint"
 def evaluate_description(
     session: Session,
     reader: str,
-    whole: DescriptionFiles,
+    description: DescriptionFiles,
     batches: Sequence[Samples],
-    found: Mapping[str, float],
+    full_rms: Mapping[str, float],
     errors: FloatArray | None = None,
-    lacks: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    omitted_effects: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> FileTest:
     """Test a description on samples, loaded by the program that reads it.
 
     Args:
         session: the robot, and the description that was given.
         reader: the reader of the description.
-        whole: the description.
+        description: the description.
         batches: samples to test on.
-        found: residual RMS of the full estimate on them, by channel.
+        full_rms: residual RMS of the full estimate on them, by channel.
         errors: parameters ``(D,)`` of the sensor errors in files beside it.
-        lacks: effects of the estimate that the description cannot represent, by channel.
+        omitted_effects: effects of the estimate that the description cannot represent, by channel.
 
     Raises:
         InputError: the program rejects the description.
     """
     name, program = file_name(reader), "MuJoCo" if reader == MUJOCO else "pinocchio"
     if reader == MUJOCO:
-        written = read_mjcf_back(whole.text, session.robot)
+        written = read_mjcf_back(description.text, session.robot)
     else:
-        written = read_urdf_back(session.read_robot(whole.text, name), reader, whole.extra_files)
+        written = read_urdf_back(session.read_robot(description.text, name), reader, description.extra_files)
     given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
     model, none = session.model, np.zeros(session.model.dimension)
     kinds = (written, none), (written, none if errors is None else errors), (given, none)
@@ -351,5 +358,11 @@ def evaluate_description(
     rms = session.rms(batches, parameters, added).T.tolist()
     alone, corrected, before = (dict(zip(channels, values, strict=True)) for values in rms)
     return FileTest(
-        name=name, program=program, alone=alone, corrected=corrected, given=before, found=found, lacks=lacks
+        name=name,
+        program=program,
+        alone=alone,
+        corrected=corrected,
+        given=before,
+        full_rms=full_rms,
+        omitted_effects=omitted_effects,
     )

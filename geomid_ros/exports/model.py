@@ -14,16 +14,16 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
 from geomid_ros.files.models.effects_file import (
     QUANTITY_NAMES,
-    coefficient,
+    coefficient_effect,
     effects_of_dynamics,
-    is_body,
+    is_payload,
     joint_attributes,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile
-from geomid_ros.files.models.posterior import SAME
+from geomid_ros.files.models.posterior import RELATIVE_TOLERANCE
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
-from geomid_ros.files.models.written_model import IDENTIFIED, written_for
+from geomid_ros.files.models.written_model import IDENTIFIED, fitted_model_of
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.model.robot import GRAVITY
@@ -32,7 +32,7 @@ from geomid_ros.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class ExportModel:
     """Model to export.
 
     Attributes:
@@ -43,7 +43,7 @@ class Model:
         effects: effects in addition to the bodies, without payloads that are links of the URDF.
         known: all effects of the estimate, including those that its reader cannot represent.
         estimated: the identified links.
-        doubt: why the model should not be used, in a sentence; empty if nothing speaks against it.
+        warning: why the model should not be used, in a sentence; empty if nothing speaks against it.
         gravity: ``(3,)`` [m/s^2] with the base upright.
         fitted: True if bodies and effects were fitted for the reader.
     """
@@ -56,7 +56,7 @@ class Model:
     effects: tuple[KnownEffect, ...]
     known: tuple[KnownEffect, ...]
     estimated: tuple[str, ...] = ()
-    doubt: str = ""
+    warning: str = ""
     gravity: FloatArray = field(default_factory=GRAVITY.copy)
     fitted: bool = True
 
@@ -80,7 +80,7 @@ class Model:
             raise InputError(f"{self.source}: {unknown_name(kind, link, self.tree.links)}")
 
 
-def read_model(path: Path, reader: str = "") -> Model:
+def read_model(path: Path, reader: str = "") -> ExportModel:
     """Read an ``estimate.json`` or a URDF.
 
     Args:
@@ -102,19 +102,19 @@ def read_model(path: Path, reader: str = "") -> Model:
     text, source = read_urdf(urdf), str(path)
     tree = parse(text, str(urdf))
     bodies = _estimated_bodies(file, tree)
-    known = effects = tuple(effect for effect in file.known_effects if not is_body(effect))
-    written = written_for(file, reader)
+    known = effects = tuple(effect for effect in file.known_effects if not is_payload(effect))
+    written = fitted_model_of(file, reader)
     friction = _dynamics(text, str(urdf), effects)
     if written is not None:
-        effects = tuple(effect for effect in written.effects if not is_body(effect))
+        effects = tuple(effect for effect in written.effects if not is_payload(effect))
         bodies |= {name: replace(bodies[name], parameters=inertia) for name, inertia in written.inertias.items()}
         text = with_inertials(text, written.inertias)
-    return Model(
+    return ExportModel(
         source=source,
         tree=tree,
         bodies=bodies,
         estimated=tuple(link.name for link in file.links),
-        doubt=file.warning,
+        warning=file.warning,
         urdf=text,
         urdf_path=urdf,
         effects=(*effects, *friction),
@@ -124,10 +124,10 @@ def read_model(path: Path, reader: str = "") -> Model:
     )
 
 
-def _of_urdf(path: Path) -> Model:
+def _of_urdf(path: Path) -> ExportModel:
     text = read_urdf(path)
     tree, effects = parse(text, str(path)), tuple(_dynamics(text, str(path), ()))
-    return Model(
+    return ExportModel(
         source=str(path),
         tree=tree,
         bodies=_urdf_bodies(tree),
@@ -150,7 +150,7 @@ def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[Know
                 (value,) = read_numbers(joint, "dynamics", (attribute,), [0.0], where)
                 units = effect_class(effect).parameters[0].units
                 unit = units[joint.get("type") == "prismatic"]
-                effects += [coefficient(effect, name, Quantity(value, math.nan, unit))] if value > 0.0 else []
+                effects += [coefficient_effect(effect, name, Quantity(value, math.nan, unit))] if value > 0.0 else []
     return effects
 
 
@@ -161,7 +161,7 @@ def _urdf_bodies(tree: UrdfTree) -> dict[str, UncertainInertia]:
 
 def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, UncertainInertia]:
     """Return the bodies of the URDF, with the estimates of those that were identified."""
-    written = written_for(file, URDF)
+    written = fitted_model_of(file, URDF)
     _check_same_model(file.inertias if written is None else written.inertias, tree, file.source)
     bodies = _urdf_bodies(tree)
     if any(link.cannot_tell is not None for link in file.links):
@@ -173,7 +173,7 @@ def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, Uncertain
 def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source: str) -> None:
     for name, parameters in inertias.items():
         written = tree.inertials.get(name, np.zeros(10))[0]
-        if abs(written - parameters[0]) > SAME * parameters[0]:
+        if abs(written - parameters[0]) > RELATIVE_TOLERANCE * parameters[0]:
             raise InputError(
                 f"{source}: the {IDENTIFIED} beside it is not of this estimate: link '{name}' weighs {written:.6g} kg "
                 f"there and {parameters[0]:.6g} kg here"
@@ -187,7 +187,7 @@ def _found_payloads(
     payloads = {}
     for effect in effects:
         name = f"{effect.link}_payload"
-        if is_body(effect) and name in bodies:
+        if is_payload(effect) and name in bodies:
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in QUANTITY_NAMES]
             payloads[name] = UncertainInertia(parameters=bodies[name].parameters, std=np.array(std))
     return payloads

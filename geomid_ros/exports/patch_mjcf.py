@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import DescriptionFiles, not_representable
-from geomid_ros.exports.model import Model
+from geomid_ros.exports.model import ExportModel
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import joint_attributes, payload_name
 from geomid_ros.files.models.mjcf import with_identified
@@ -42,7 +42,7 @@ class UserMjcf:
     joints: Collection[str]
     emptied: Sequence[str]
 
-    def with_numbers(self, model: Model) -> str:
+    def with_numbers(self, model: ExportModel) -> str:
         """Return the text with the inertias of the links and the effects at the joints of a model, all else unchanged.
         Raises InputError if one of them is not in this file but in an included one."""
         inertias = {name: _moved(_with_payload(model, name), placed) for name, placed in self.placements.items()}
@@ -58,7 +58,7 @@ class UserMjcf:
             raise InputError(f"{self.path}: not valid XML ({error})") from error
 
 
-def patch_user_mjcf(model: Model, path: Path) -> DescriptionFiles:
+def patch_user_mjcf(model: ExportModel, path: Path) -> DescriptionFiles:
     """Return the text of an MJCF with the inertias of the links and the effects at the joints of the model, by name;
     see :func:`read_user_mjcf`."""
     target = read_user_mjcf(model, path)
@@ -73,7 +73,7 @@ def patch_user_mjcf(model: Model, path: Path) -> DescriptionFiles:
     return DescriptionFiles(patched, sentences)
 
 
-def read_user_mjcf(model: Model, path: Path) -> UserMjcf:
+def read_user_mjcf(model: ExportModel, path: Path) -> UserMjcf:
     """Read an MJCF of the same robot as ``model``.
 
     The frames of its bodies need not be those of the URDF's links: inertias are transformed, with all joints at zero.
@@ -98,7 +98,7 @@ def _named(heading: str, names: Sequence[str]) -> list[str]:
     return [f"{heading} {', '.join(names)}"] if names else []
 
 
-def _with_payload(model: Model, link: str) -> FloatArray:
+def _with_payload(model: ExportModel, link: str) -> FloatArray:
     """Parameters ``(10,)`` of a link and of the payload found on it, which is a separate link of the URDF."""
     names = [name for name in (link, payload_name(link)) if name in model.bodies]
     parameters = [model.bodies[name].parameters for name in names]
@@ -109,7 +109,7 @@ def _moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:
     return pseudo_inertia.to_parameters(placement @ pseudo_inertia.from_parameters(parameters) @ placement.T)
 
 
-def _base(model: Model, frames: BodyFrames, path: Path) -> FloatArray:
+def _base(model: ExportModel, frames: BodyFrames, path: Path) -> FloatArray:
     """Homogeneous matrix ``(4, 4)`` from the URDF's root to the MJCF's world: the placement of the body named like the
     root, or else the best fit of all axes. Raises InputError if neither fits."""
     axes = _urdf_axes(model, frames.joints)
@@ -127,7 +127,7 @@ def _base(model: Model, frames: BodyFrames, path: Path) -> FloatArray:
     )
 
 
-def _urdf_axes(model: Model, names: Iterable[str]) -> dict[str, FloatArray]:
+def _urdf_axes(model: ExportModel, names: Iterable[str]) -> dict[str, FloatArray]:
     """Point and direction ``(2, 3)`` of the axes of the joints in ``names``, in the frame of the URDF's root."""
     axes = {}
     for joint in joint_frames(model.urdf, str(model.urdf_path)):

@@ -12,8 +12,8 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
-from geomid_ros.exports.model import Model
-from geomid_ros.files.models.posterior import SAME
+from geomid_ros.exports.model import ExportModel
+from geomid_ros.files.models.posterior import RELATIVE_TOLERANCE
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.session.setup import LIGHT
 from geomid_ros.types import FloatArray
@@ -41,7 +41,7 @@ class Export:
     notes: tuple[str, ...] = ()
 
 
-def attached(model: Model, frame: str) -> Export:
+def attached(model: ExportModel, frame: str) -> Export:
     """Sum all links at and after the link ``frame``, in its axes.
 
     Raises InputError if none of them has a mass, if one is merged into a link before ``frame``, or if the data do not
@@ -51,7 +51,7 @@ def attached(model: Model, frame: str) -> Export:
     return _sum_of(model, model.tree.subtree(frame), frame)
 
 
-def chosen(model: Model, links: Sequence[str], frame: str) -> Export:
+def sum_of_links(model: ExportModel, links: Sequence[str], frame: str) -> Export:
     """Sum the given links in the axes of the link ``frame``. Raises InputError as :func:`attached` does."""
     model.check_link(frame, "frame")
     for link in links:
@@ -63,7 +63,7 @@ def chosen(model: Model, links: Sequence[str], frame: str) -> Export:
     return _sum_of(model, list(dict.fromkeys(links)), frame)
 
 
-def difference(model: Model, reference: Model, frame: str) -> Export:
+def difference(model: ExportModel, reference: ExportModel, frame: str) -> Export:
     """Subtract ``reference`` from ``model`` in the axes of the link ``frame``, which both have.
 
     The subtraction covers everything that moves with the link that supports the frame: a tool may have been identified
@@ -90,7 +90,7 @@ def difference(model: Model, reference: Model, frame: str) -> Export:
     return Export(f"payload at '{frame}': {title}", frame, inertial, notes)
 
 
-def each_link(model: Model) -> list[Export]:
+def each_link(model: ExportModel) -> list[Export]:
     """Return the links of a model, each in its axes: the identified ones, or all of a URDF. Raises InputError for a
     physically impossible link."""
     exports = []
@@ -112,7 +112,7 @@ def _link_notes(body: UncertainInertia) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _sum_of(model: Model, links: Sequence[str], frame: str) -> Export:
+def _sum_of(model: ExportModel, links: Sequence[str], frame: str) -> Export:
     _check_whole(model, links)
     massive = _massive(model, links)
     if not massive:
@@ -132,16 +132,16 @@ def _sum_of(model: Model, links: Sequence[str], frame: str) -> Export:
     return Export(f"payload at '{frame}': {parts}", frame, inertial, notes)
 
 
-def _massive(model: Model, links: Sequence[str]) -> list[str]:
+def _massive(model: ExportModel, links: Sequence[str]) -> list[str]:
     return [link for link in links if link in model.bodies]
 
 
-def _carrier(model: Model, frame: str) -> str:
+def _carrier(model: ExportModel, frame: str) -> str:
     """Return the moving link (or the root) that the link ``frame`` is fixed to."""
     return next((joint.child for joint in model.tree.joints_above(frame) if joint.type != "fixed"), model.tree.root)
 
 
-def _moving_with(model: Model, frame: str) -> list[str]:
+def _moving_with(model: ExportModel, frame: str) -> list[str]:
     """Return the links with a mass that move with the link supporting ``frame``; check that no body is split."""
     model.check_link(frame, "frame")
     links = model.tree.subtree(_carrier(model, frame))
@@ -149,11 +149,11 @@ def _moving_with(model: Model, frame: str) -> list[str]:
     return _massive(model, links)
 
 
-def _terms(model: Model, links: Sequence[str], frame: str, sign: float = 1.0) -> list[Summand]:
+def _terms(model: ExportModel, links: Sequence[str], frame: str, sign: float = 1.0) -> list[Summand]:
     return [Summand(model.bodies[link], model.placement(link, frame), sign) for link in links]
 
 
-def _check_whole(model: Model, links: Sequence[str]) -> None:
+def _check_whole(model: ExportModel, links: Sequence[str]) -> None:
     """Refuse to split a body."""
     for name, body in model.bodies.items():
         inside = [link for link in body.merged if link in links]
@@ -165,7 +165,7 @@ def _check_whole(model: Model, links: Sequence[str]) -> None:
             )
 
 
-def _check_identified(model: Model, links: Sequence[str]) -> None:
+def _check_identified(model: ExportModel, links: Sequence[str]) -> None:
     masses = {link: model.bodies[link].mass for link in links}
     unidentified = {link: names for link in links if (names := _unidentified_weight(model.bodies[link]))}
     # Gravity is compensated by mass and centre of mass.
@@ -183,7 +183,7 @@ def _unidentified_weight(body: UncertainInertia) -> list[str]:
     return [name for name in body.cannot_tell or () if name == "mass" or name.startswith("com")]
 
 
-def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]:
+def _joints_at_zero(model: ExportModel, links: Sequence[str], frame: str) -> list[str]:
     """Note the moving joints between a frame and links, because their positions change where the links are."""
     above_frame = set(model.tree.joints_above(frame))
     between = [joint for link in links for joint in model.tree.joints_above(link) if joint not in above_frame]
@@ -191,13 +191,13 @@ def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]
     return [f"with these joints at zero: {', '.join(moving)}"] if moving else []
 
 
-def _exact(model: Model, links: Sequence[str], inertial: UncertainInertia) -> list[str]:
+def _exact(model: ExportModel, links: Sequence[str], inertial: UncertainInertia) -> list[str]:
     """Note the links that count as exact in the sum ``inertial``."""
     names = [link for link in links if not model.bodies[link].has_std]
     return [f"taken as exact: {', '.join(names)} of {model.source}"] if names and inertial.has_std else []
 
 
-def _other_differences(model: Model, reference: Model, frame: str) -> list[str]:
+def _other_differences(model: ExportModel, reference: ExportModel, frame: str) -> list[str]:
     """Note links elsewhere that differ: they may contain part of the payload."""
     carried = model.tree.subtree(_carrier(model, frame))
     common = [link for link in _massive(model, model.tree.links) if link in reference.bodies and link not in carried]
@@ -208,14 +208,16 @@ def _other_differences(model: Model, reference: Model, frame: str) -> list[str]:
     return [f"{', '.join(differing)} differ, too, and part of the payload may be in them: {weighing}"]
 
 
-def _weighing(reference: Model, frame: str) -> str:
+def _weighing(reference: ExportModel, frame: str) -> str:
     """Return the command that identifies a payload as a separate body."""
     empty = reference.source if reference.estimated else "EMPTY_BAG"
     return f"'geomid payload {empty} LOADED_BAG --frame {frame}'"
 
 
 def _same(one: UncertainInertia, other: UncertainInertia) -> bool:
-    return bool(np.allclose(one.quantities, other.quantities, rtol=SAME, atol=SAME * one.mass))
+    return bool(
+        np.allclose(one.quantities, other.quantities, rtol=RELATIVE_TOLERANCE, atol=RELATIVE_TOLERANCE * one.mass)
+    )
 
 
 def total(terms: Sequence[Summand], what: str) -> UncertainInertia:

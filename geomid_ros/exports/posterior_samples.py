@@ -19,16 +19,22 @@ from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.suggested_motions import instants
 from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described, described_robot
 from geomid_ros.exports.formats import JSON
-from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.exports.patch_mjcf import UserMjcf, read_user_mjcf
 from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effects_entries
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.posterior import SAME, check_matches_estimate, places_in, posterior_path, read_posterior
+from geomid_ros.files.models.posterior import (
+    RELATIVE_TOLERANCE,
+    check_matches_estimate,
+    places_in,
+    posterior_path,
+    read_posterior,
+)
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -49,12 +55,12 @@ class DrawnRobots:
         count: the number of robots requested.
     """
 
-    model: Model
+    model: ExportModel
     posterior: Posterior
     parameters: FloatArray
     count: int
 
-    def __iter__(self) -> Iterator[Model]:
+    def __iter__(self) -> Iterator[ExportModel]:
         """Iterate over the requested robots."""
         return map(self._robot, range(self.count))
 
@@ -68,7 +74,7 @@ class DrawnRobots:
         """Coefficients of the effects, each with its values ``(N,)``."""
         return list(zip(self.posterior.effects, self.parameters[:, 10 * len(self.posterior.links) :].T, strict=True))
 
-    def _robot(self, number: int) -> Model:
+    def _robot(self, number: int) -> ExportModel:
         bodies, unknown = self.model.bodies, np.full(10, np.nan)
         inertias = {name: values[number] for name, values in self.links.items()}
         drawn = {name: replace(bodies[name], parameters=values, std=unknown) for name, values in inertias.items()}
@@ -96,7 +102,7 @@ class DrawnRobots:
         estimated = self.posterior.parameters[10 * len(self.posterior.links) :]
         for (c, drawn), value in zip(self.coefficients, estimated, strict=True):
             key = c.name, c.place, c.parameter
-            if key in given and abs(given[key].value - value) <= SAME * abs(value):
+            if key in given and abs(given[key].value - value) <= RELATIVE_TOLERANCE * abs(value):
                 sampled[key] = c, drawn
         return sampled
 
@@ -112,7 +118,7 @@ class DrawnRobots:
         return f"the same in all robots, as the posterior has nothing of it: {', '.join(names)}" if names else ""
 
 
-def draw_robots(path: Path, count: int, seed: int, std_factor: float) -> DrawnRobots:
+def sample_robots(path: Path, count: int, seed: int, std_factor: float) -> DrawnRobots:
     """Sample ``count`` robots from the posterior beside an ``estimate.json``, standard deviations times ``std_factor``.
 
     Raises:
@@ -151,7 +157,9 @@ def descriptions_of(
         yield f"robot_{number:0{digits}d}{'.xml' if tool == 'mujoco' else '.urdf'}", write(model)
 
 
-def _writer(model: Model, tool: str, into: Path | None, packages: Mapping[str, Path]) -> Callable[[Model], str]:
+def _writer(
+    model: ExportModel, tool: str, into: Path | None, packages: Mapping[str, Path]
+) -> Callable[[ExportModel], str]:
     """Return a function that writes the text of a sampled robot."""
     if tool != "mujoco":
         return lambda drawn: DESCRIPTIONS[tool].whole(as_described(drawn, packages)).text
@@ -178,7 +186,7 @@ def _with_absolute_folders(text: str, path: Path) -> str:
     return f"{text[:end]}  <compiler {attributes}/>\n{text[end:]}"
 
 
-def _entries(robots: DrawnRobots, model: Model) -> dict[str, Any]:
+def _entries(robots: DrawnRobots, model: ExportModel) -> dict[str, Any]:
     """Return links and effects of a robot as in ``estimate.json``."""
     links = [
         link_entry(name, merged, model.bodies[name].parameters)

@@ -15,7 +15,7 @@ from geomid_ros.exports.payload import Export, Summand, total
 from geomid_ros.files.models.estimate_file import verdict_entry
 from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.payload import WeighedPayload, weigh
+from geomid_ros.session.payload import WeighedPayload, identify_payload
 from geomid_ros.session.session import Session
 
 
@@ -102,6 +102,6 @@ def identify_payload_at(
         InputError: the frame is unknown or fixed to no moving link, or nothing was measured.
     """
     link = session.robot.carrier(frame) if frame else session.model.body_names[-1]
-    weighed = weigh(session, empty, loaded, link, gain)
+    weighed = identify_payload(session, empty, loaded, link, gain)
     placed = Summand(weighed, session.robot.fixed_placement(link, frame or link))
     return Payload(frame=frame or link, weighed=weighed, inertial=total([placed], f"the payload at '{frame or link}'"))

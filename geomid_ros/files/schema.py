@@ -172,19 +172,19 @@ def _array(value: Any, shape: tuple[int, ...], where: str) -> FloatArray:
     return array
 
 
-def packed(numbers: FloatArray, form: str) -> str:
+def to_base64(numbers: FloatArray, form: str) -> str:
     """Encode numbers as base64, each in this ``form``: ``<f4`` or ``<f8``."""
     return base64.b64encode(numbers.astype(form).tobytes()).decode()
 
 
-def unpacked(text: str, form: str, count: int) -> FloatArray:
+def from_base64(text: str, form: str, count: int) -> FloatArray:
     """Decode ``count`` numbers from such a text. Raises ValueError."""
     return np.frombuffer(base64.b64decode(text, validate=True), form).astype(np.float64).reshape(count)
 
 
-def unpacked_triangle(text: str, form: str, size: int) -> FloatArray:
+def triangle_from_base64(text: str, form: str, size: int) -> FloatArray:
     """Decode an upper triangular matrix ``(size, size)``, stored row by row, from such a text. Raises ValueError."""
-    return from_upper_triangle(unpacked(text, form, size * (size + 1) // 2), (size, size))
+    return from_upper_triangle(from_base64(text, form, size * (size + 1) // 2), (size, size))
 
 
 def from_upper_triangle(numbers: AnyArray, shape: tuple[int, ...]) -> FloatArray:

@@ -20,8 +20,8 @@ import numpy as np
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.files.schema import from_document
-from geomid_ros.fleet.kept import SUFFIX, RobotResults, Store
 from geomid_ros.fleet.recordings import FleetBag
+from geomid_ros.fleet.summary_store import SUFFIX, RobotResults, Store
 from geomid_ros.fleet.work import BagOutcome, FleetPlan, solve_robot, summarise_bag
 from geomid_ros.options import Progress, silent
 from geomid_ros.session.session import installed_version
@@ -212,7 +212,7 @@ class Fleet:
 
     def _summarise(self, workers: Callable[[], Cluster], progress: Progress) -> dict[FleetBag, BagOutcome]:
         """Outcome of every bag."""
-        names = {bag: f"{self._plan.of_bag(bag)}.json" for bag in self._bags}
+        names = {bag: f"{self._plan.summary_name(bag)}.json" for bag in self._bags}
         stored = {bag: self._outcome(name) for bag, name in names.items() if name in self._kept}
         outcomes = {bag: outcome for bag, outcome in stored.items() if outcome is not None}
         progress(f"{len(outcomes)} of {len(self._bags)} bags", 0.0)
@@ -235,8 +235,8 @@ class Fleet:
     ) -> Iterator[FleetRobot]:
         """Yield the robots, after solving for them."""
         chosen = {name: self._chosen(name, outcomes) for name in dict.fromkeys(bag.robot for bag in self._bags)}
-        summaries = {robot: [self._plan.of_bag(bag) for bag in used] for robot, (used, _) in chosen.items()}
-        names = {robot: self._plan.of_robot(robot, bags) for robot, bags in summaries.items()}
+        summaries = {robot: [self._plan.summary_name(bag) for bag in used] for robot, (used, _) in chosen.items()}
+        names = {robot: self._plan.results_name(robot, bags) for robot, bags in summaries.items()}
         jobs = [
             (robot, (self._store, self._plan.name, names[robot], summaries[robot], locked))
             for robot, (used, locked) in chosen.items()

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError, unknown_name
-from geomid_ros.fleet.kept import file_system, is_local
+from geomid_ros.fleet.summary_store import file_system, is_local
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.lz4", ".db3.lz4")
 _METADATA = "metadata.yaml"

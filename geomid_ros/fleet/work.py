@@ -19,8 +19,8 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.archive import FORMAT
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.schema import from_document, to_document
-from geomid_ros.fleet.kept import SUFFIX, BagSummary, RobotResults, Store, summarise, total
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
+from geomid_ros.fleet.summary_store import SUFFIX, BagSummary, RobotResults, Store, sum_of_summaries, summarise
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, with_locked
 from geomid_ros.session.session import Session, installed_version, save
@@ -62,11 +62,11 @@ class FleetPlan:
         """Name under which it is stored."""
         return f"plan-{_checksum(self.document)}"
 
-    def of_bag(self, bag: FleetBag) -> str:
+    def summary_name(self, bag: FleetBag) -> str:
         """Name under which the summary of a bag is stored."""
         return f"bag-{_checksum([self.document, bag.url, bag.fingerprint])}"
 
-    def of_robot(self, robot: str, bags: Iterable[str]) -> str:
+    def results_name(self, robot: str, bags: Iterable[str]) -> str:
         """Name under which the results of a robot are stored, from the names of its bags' summaries."""
         return f"robot-{_checksum([self.document, robot, sorted(bags)])}"
 
@@ -94,7 +94,7 @@ class BagOutcome:
 def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
     """Summarise a bag. Faults of the bag itself are an outcome, too."""
     plan = _plan(store, plan_name)
-    name = plan.of_bag(bag)
+    name = plan.summary_name(bag)
     try:
         with on_this_disk(bag.url) as path:
             bags = Bags(fitted=[path], hold_out=plan.hold_out, topics=plan.topics)
@@ -127,7 +127,7 @@ def solve_robot(store: Store, plan_name: str, name: str, bags: Sequence[str], lo
     plan = _plan(store, plan_name)
     try:
         session = Session(plan.description, with_locked(plan.configuration, locked), plan.source, readers=READERS)
-        summary = total([_kept(store, bag, session) for bag in bags])
+        summary = sum_of_summaries([_kept(store, bag, session) for bag in bags])
         results = _results(session, *solve(session, summary))
     except InputError as error:
         return str(error)

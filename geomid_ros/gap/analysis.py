@@ -13,12 +13,12 @@ from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, EffectsFit, Effe
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
-from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records, TotalModel
-from geomid_ros.inference.fit import fit, unfitted
+from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records, TotalModel
+from geomid_ros.inference.fit import fit, fit_of_prior
 from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import joints_of
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
 _ROUNDS = 6
@@ -32,12 +32,12 @@ _WHITENINGS = 4  # rounds that whiten by the noise of the last remainder
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Analysis:
     """Result of the search: the last ``problem`` and ``search``; the fit with the named ``effects`` and the one without
-    (``bare``); the evidence that ``supports`` each likely name; each channel's noise std, ``floor (C,)``, from
+    (``inertias_only``); the evidence that ``supports`` each likely name; each channel's noise std, ``floor (C,)``, from
     repeats of a motion if any; ``contested``: the odds that a link other than the named one has changed."""
 
     problem: LinearisedProblem
     search: EffectsSearch
-    bare: EffectsFit
+    inertias_only: EffectsFit
     effects: EffectsFit
     supports: dict[Candidate, Support[Candidate]]
     floor: FloatArray
@@ -80,7 +80,9 @@ def analyse(
     is reported as a changed link: a payload on the axis of a last joint would else fit the link before as well. On
     another link of a URDF it may as well be an error of the URDF.
     """
-    candidates = _identifiable(library.candidates(model, prior.terms, bare=not prior.identified), records.moving)
+    candidates = _identifiable(
+        library.candidates(model, prior.terms, unknown_joints=not prior.identified), records.moving
+    )
     links = [c.payload for c in candidates if c.payload is not None]
     inner = {c.payload for c in candidates if c.payload is not None and c.joint is not None} - _ends(model, links)
     if prior.other_recordings is not None:
@@ -98,7 +100,7 @@ def _identifiable(candidates: Sequence[Candidate], moving: BoolArray) -> list[Ca
 def known_remainder(model: MeasurementModel, records: Records, prior: EffectsPrior) -> KnownRemainder:
     """Return the remainder of the model that the ``prior`` describes, on records, with its parameters unchanged; it is
     not known for channels without rows."""
-    prior_fit = unfitted(prior)
+    prior_fit = fit_of_prior(prior)
     noise = (Autoregression.white(),) * len(model.channels)
     problem = LinearisedProblem(model, records, total_model(model, prior_fit))
     residual = problem.residual(problem.columns((), prior.terms), prior_fit)
@@ -169,7 +171,7 @@ def _searched(task: _Task, prior: EffectsPrior, stage: str) -> Analysis:
     return Analysis(
         problem=problem,
         search=search,
-        bare=search.fit([]),
+        inertias_only=search.fit([]),
         effects=names,
         supports=supports,
         floor=noise_by_repeats(task.model, task.records).floor(noise),
@@ -181,7 +183,9 @@ def _supports(search: EffectsSearch, names: EffectsFit, inner: Collection[int]) 
     an error of the link is as likely. The others are not reported, but stay in the fit: the remainder would else
     contain what they explain, and all other effects would be doubted for it."""
     supports = Supports(search, names)
-    likely = {candidate: supports.of(candidate) for candidate in names.chosen if supports.worth(candidate) > 0.0}
+    likely = {
+        candidate: supports.of(candidate) for candidate in names.chosen if supports.adjusted_loss(candidate) > 0.0
+    }
     for candidate, support in likely.items():
         if candidate.payload in inner:
             likely[candidate] = replace(support, probability=support.probability / (1.0 + support.probability))
@@ -231,7 +235,7 @@ def _last_round(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
 
 def _beginning(task: _Task, prior: EffectsPrior) -> tuple[tuple[Autoregression, ...], TotalModel]:
     """Initial noise, and the total model without named effects."""
-    problem = task.linearised(total_model(task.model, unfitted(prior)))
+    problem = task.linearised(total_model(task.model, fit_of_prior(prior)))
     columns = problem.columns(task.tried, prior.terms)
     bare: EffectsFit = fit(problem.design(columns, (Autoregression.white(),) * len(task.model.channels)), prior, ())
     return _flexible_noise(problem, columns, bare, problem.valid), total_model(task.model, bare)
@@ -261,7 +265,7 @@ def _round(
     search = Selection(names.with_fitted_remainder(design), prior, task.tried)
     names = search.within_range(search.fit(names.chosen, names))
     if searches:
-        names = search.settle(names) if settling else search.grow(names, to_the_end=is_last)
+        names = search.optimise(names) if settling else search.grow(names, to_the_end=is_last)
     return _Round(problem, columns, search, names)
 
 

@@ -25,7 +25,7 @@ from geomid_ros.model.effects import (
     SituationEffect,
     joints_of,
 )
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.types import FloatArray
 
@@ -80,21 +80,21 @@ class Candidate:
         effect: with its constants.
         place: where it acts.
         terms: its coefficients; none for a payload, which is a body.
-        known: True if the model has it, so that it may have changed.
+        in_model: True if the model has it, so that it may have changed.
         odds: prior odds for any constant.
     """
 
     effect: Effect
     place: Place
     terms: tuple[EffectTerm, ...]
-    known: bool = False
+    in_model: bool = False
     odds: float = 1.0
 
     @staticmethod
-    def of(effect: Effect, place: Place, *, known: bool = False, ordinary: bool = False) -> Candidate:
+    def of(effect: Effect, place: Place, *, in_model: bool = False, ordinary: bool = False) -> Candidate:
         """Create the candidate of an effect at a place; ``ordinary``: True if every joint may well have it."""
         odds = 1.0 if ordinary else ODDS * (_OF_COUPLED if effect.place == "joints" else 1.0)
-        return Candidate(effect, place, tuple(_terms(effect, place)), known, odds)
+        return Candidate(effect, place, tuple(_terms(effect, place)), in_model, odds)
 
     def excludes(self, other: Candidate) -> bool:
         """True if both at once make no sense: same effect and place, one a special case of the other, two payloads."""
@@ -110,7 +110,7 @@ class Candidate:
     @cached_property
     def cost(self) -> float:
         """Minus twice the log of the prior odds for its value of the constant."""
-        constants = 1 if self.known else len(self.effect.grid())
+        constants = 1 if self.in_model else len(self.effect.grid())
         return -2.0 * float(np.log(self.odds / constants))
 
     @cached_property
@@ -159,7 +159,7 @@ class Candidate:
     def positives(self) -> int:
         """Number of leading coefficients that cannot be negative; effects identified with inertias may have other
         signs."""
-        return sum(part.own_positives for part in self.effect.parts) if self.known else self.effect.positives
+        return sum(part.column_positives for part in self.effect.parts) if self.in_model else self.effect.positives
 
     @cached_property
     def group(self) -> tuple[str, Place]:
@@ -172,15 +172,19 @@ EffectsPrior: TypeAlias = Prior[EffectTerm]
 EffectsSearch: TypeAlias = Selection[Candidate, EffectTerm]
 
 
-def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, bare: bool = True) -> list[Candidate]:
+def candidates(
+    model: MeasurementModel, known: Collection[EffectTerm] = (), *, unknown_joints: bool = True
+) -> list[Candidate]:
     """Return all candidates for a robot with its sensors, and the changes of ``known`` effects, which keep their
-    constants. ``bare``: True if nothing is known of its joints, so that they may well have default effects. The ground
-    loads the joints of a legged robot, too: effects that depend on more than the load are omitted there."""
+    constants. ``unknown_joints``: True if nothing is known of its joints, so that they may well have default effects.
+    The ground loads the joints of a legged robot, too: effects that depend on more than the load are omitted there."""
     has = {(term.effect.name, term.place) for term in known}
-    changes = [Candidate.of(*pair, known=True) for pair in dict.fromkeys((term.effect, term.place) for term in known)]
+    changes = [
+        Candidate.of(*pair, in_model=True) for pair in dict.fromkeys((term.effect, term.place) for term in known)
+    ]
     result = [c for c in changes if set(c.terms) <= set(known)]
     result += [
-        Candidate.of(effect, place, ordinary=bare and effect.name in DEFAULT_EFFECTS)
+        Candidate.of(effect, place, ordinary=unknown_joints and effect.name in DEFAULT_EFFECTS)
         for cls in EFFECTS.values()
         for effect in cls.grid()
         for place in model.places.of(effect)

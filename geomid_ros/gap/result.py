@@ -17,7 +17,7 @@ Verdict: TypeAlias = Literal["no gap", "named", "incomplete", "unexplained"]
 
 SURE, LIKELY = 0.95, 0.5
 """Least probabilities of a sure and of a tentative named effect. A less likely one is kept if rivals make up for it,
-see :attr:`Finding.is_likely`."""
+see :attr:`RecordingFault.is_likely`."""
 
 
 def confidence_of(probability: float) -> Confidence:
@@ -104,7 +104,7 @@ class LinkChange:
         return confidence_of(self.probability)
 
     @property
-    def told(self) -> float:
+    def squared_significance(self) -> float:
         """Squared change in standard deviations: of the mass, or of the largest part of the first moment."""
         sizes = self.moment.values() or (self.mass,)
         return max(((q.value / q.std) ** 2 for q in sizes if q.std > 0.0), default=float("inf"))

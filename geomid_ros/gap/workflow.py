@@ -16,17 +16,17 @@ from geomid_ros.gap.analysis import analyse, known_remainder
 from geomid_ros.gap.candidates import Candidate, EffectsPrior, EffectTerm, passivity_constraints
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
-from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records
-from geomid_ros.gap.judgement.held_out import HeldOut, located
+from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records
+from geomid_ros.gap.judgement.confirmed_changes import confirmed_changes, folded
+from geomid_ros.gap.judgement.held_out import HeldOut, locate_residuals
 from geomid_ros.gap.judgement.verdict import changed_links, findings, ranking, unexplained, verdict
-from geomid_ros.gap.judgement.written import folded, written
 from geomid_ros.gap.result import GapResult
-from geomid_ros.inference.fit import unfitted
+from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.inference.prior import OtherRecordings, Prior
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST, Samples
 from geomid_ros.types import FloatArray
 
@@ -107,13 +107,13 @@ def find_gap(
     report("judging", 0.0)
     links = changed_links(bare, analysis)
     named = findings(bare, analysis)
-    result = written(bare, records, analysis, named, links)
+    result = confirmed_changes(bare, records, analysis, named, links)
     files = HeldOut(bare, unseen, replace(analysis, effects=result.found))
     # The inertias of a URDF are wrong on any robot; those of an identified or simulated model are not.
     is_named = bool(result.findings or (result.links and (prior.identified or simulated)))
     report("judging", 1.0)
     named_terms = {term for candidate in result.found.chosen for term in candidate.terms}
-    untouched = unfitted(prior)
+    untouched = fit_of_prior(prior)
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     first = problem.residual(problem.columns((), prior.terms), untouched)
     sure_joints = {finding.joint for finding in result.findings if finding.confidence == "confident"}
@@ -132,7 +132,7 @@ def find_gap(
         cutoff=cutoff,
         gap=files.on_all,
         moving=files.gap.after,
-        located=located(bare, records, first, np.abs(_measured(bare, records) - first)),
+        located=locate_residuals(bare, records, first, np.abs(_measured(bare, records) - first)),
         ranking=ranking(bare, analysis, named),
         trace=files.trace,
         bodies=bare.body_names,
@@ -194,7 +194,7 @@ def residual_rms(
     bare, records = model.without_effects(), Records.make(samples, cutoff)
     prior = _prior(model, nominal)
     prior, _ = _with_other_effects(bare, records, prior, other_effects)
-    untouched = unfitted(prior)
+    untouched = fit_of_prior(prior)
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     return root_mean_square(problem.residual(problem.columns((), prior.terms), untouched))
 
@@ -273,12 +273,12 @@ def _with_other_effects(
     """Return the prior with these effects in addition to the coefficients, and each effect with its candidate."""
     if not others:
         return prior, []
-    situation = LinearisedProblem(model, records, total_model(model, unfitted(prior))).situation
+    situation = LinearisedProblem(model, records, total_model(model, fit_of_prior(prior))).situation
     candidates, values, spreads = [], list(prior.values), list(prior.prior_stds)
     for effect in others:
         cls, numbers = effect_class(effect.effect), values_of(effect)
         place = model.places.named(cls(), effect.joint)
-        load = situation.usual_load(place)
+        load = situation.typical_load(place)
         candidate, coefficients = Candidate.of(cls.from_values(numbers, load), place), cls.coefficients(numbers, load)
         candidates.append((candidate, effect))
         sizes = [coefficients[term.effect][term.index] for term in candidate.terms]
@@ -300,8 +300,8 @@ def _relative_std(candidate: Candidate, known_effect: KnownEffect) -> float:
 def _with_least_stds(model: MeasurementModel, records: Records, prior: EffectsPrior) -> EffectsPrior:
     """Let coefficients change by a small fraction of the measurement, unless they are larger than that. Next to a
     spring, an offset near zero is known no better than the spring's rest. Changes of larger ones must be named."""
-    problem = LinearisedProblem(model, records, total_model(model, unfitted(prior)))
-    least = _LEAST_SHARE * problem.usual_sizes(prior.terms)
+    problem = LinearisedProblem(model, records, total_model(model, fit_of_prior(prior)))
+    least = _LEAST_SHARE * problem.typical_sizes(prior.terms)
     small = (np.abs(prior.values) < least) & np.isfinite(least)  # infinite where nothing is measured
     least = np.where(small, least, 0.0)
     known = prior.other_recordings
@@ -315,7 +315,7 @@ def _as_simulated(
 ) -> EffectsPrior:
     """Return the prior of the user's simulator: its inertias with payloads, and its effects, instead of the model's."""
     _check(model, records)
-    likely = analyse(model, records, prior.by_itself, report).likely
+    likely = analyse(model, records, prior.without_other_recordings, report).likely
     inertias = total_model(model, likely).inertias[list(model.identified)].ravel()
     values = np.array([likely.value(term) for term in likely.terms])
     spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(values), _LEAST_SPREAD)

@@ -232,11 +232,11 @@ class ParameterManifold:
             [symmetric.to_vector(links).ravel(), point.positives - base.positives, point.reals - base.reals]
         )
 
-    def rows_off(self, base: Point, rows: FloatArray) -> FloatArray:
+    def offset_rows(self, base: Point, rows: FloatArray) -> FloatArray:
         """Convert rows ``(N, D)`` of the parameters to rows of :meth:`offset`."""
         return self.by_blocks(rows, base.links_jacobian, np.ones(self.dimension - self.inertial.stop))
 
-    def whiten_off(self, base: Point, point: Point, rows: FloatArray) -> FloatArray:
+    def whiten_offset_rows(self, base: Point, point: Point, rows: FloatArray) -> FloatArray:
         """Apply :meth:`whiten` at ``point`` to rows of :meth:`offset`."""
         return self.by_blocks(rows, base.to_tangent @ symmetric.congruence(point.root), self.jacobian(point)[1])
 

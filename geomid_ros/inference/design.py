@@ -137,7 +137,7 @@ class Design:
     @staticmethod
     def of(channels: Sequence[ChannelRows], dimension: int) -> Design:
         """Create with the default remainder."""
-        return Design(tuple(channels), dimension, tuple(channel.remainder.usual for channel in channels))
+        return Design(tuple(channels), dimension, tuple(channel.remainder.default_variances for channel in channels))
 
     def given(self, variances: Sequence[FloatArray]) -> Design:
         """Return the design with other ``variances`` of the remainders; unchanged channels keep their products."""
@@ -247,7 +247,9 @@ class Design:
             squared, whitener = channel.remainder.squared, marginal.whitener
             white = whitener @ (channel.remainder.crossed @ vector)
             mean = -white @ whitener
-            by_block = np.where(channel.block[:, None] == np.arange(len(channel.remainder.usual)), mean[:, None], 0.0)
+            by_block = np.where(
+                channel.block[:, None] == np.arange(len(channel.remainder.default_variances)), mean[:, None], 0.0
+            )
             explained = np.sum(by_block * (squared @ by_block), axis=0)
             freedom = float(np.sum((whitener @ squared) * whitener))
             totals = [mean] if channel.prior_mean is None else [mean, mean + channel.prior_mean]

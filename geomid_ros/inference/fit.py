@@ -199,7 +199,7 @@ def _free_fit(
     weights[places] = (scales[: len(held)][held] / prior.prior_stds[held]) ** 2
     rows, cost = _known_rows(prior, chosen, manifold)
     zero = _constraint_rows(constraints, manifold, prior_point)
-    earlier, zeros = (_products(manifold.rows_off(prior_point, own[:, :-1]), own[:, -1]) for own in (rows, zero))
+    earlier, zeros = (_products(manifold.offset_rows(prior_point, own[:, :-1]), own[:, -1]) for own in (rows, zero))
     from_scratch = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
     inflation = 1.0 if fixed or start is None else start.inflation
@@ -283,7 +283,7 @@ def _constraint_rows(constraints: FloatArray | None, manifold: ParameterManifold
     return np.column_stack([np.zeros((len(constraints), manifold.real.start)), constraints, constraints @ prior.reals])
 
 
-def unfitted(prior: Prior[Term]) -> JointFit[Any, Term]:
+def fit_of_prior(prior: Prior[Term]) -> JointFit[Any, Term]:
     """The prior as a fit to no data."""
     manifold = StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
     size = manifold.dimension

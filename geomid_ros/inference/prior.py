@@ -125,7 +125,7 @@ class Prior(Generic[Term]):
     constraints: Callable[[Sequence[Term], FloatArray], FloatArray] = no_constraints
 
     @property
-    def by_itself(self) -> Prior[Term]:
+    def without_other_recordings(self) -> Prior[Term]:
         """Prior without other recordings, which are reduced to a standard deviation for each effect."""
         if self.other_recordings is None:
             return self

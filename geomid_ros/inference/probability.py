@@ -18,7 +18,7 @@ from geomid_ros.types import FloatArray
 _ALONG = 0.5  # fraction of a channel's remainder, as RMS, that may lie along a hypothesis's columns
 
 
-def shares(scores: Sequence[float] | FloatArray) -> FloatArray:
+def posterior_probabilities(scores: Sequence[float] | FloatArray) -> FloatArray:
     """Probabilities ``(k,)`` of hypotheses, exactly one of which is true, from their ``scores (k,)``: minus twice the
     log evidence of each, its cost included."""
     weights = np.exp(-0.5 * (np.asarray(scores) - np.min(scores)))
@@ -33,13 +33,13 @@ def probability_of_square(square: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Support(Generic[Chosen]):
-    """Evidence for a hypothesis: the ``loss`` of score without it, and its ``worth``, that loss if rows are dependent;
-    ``doubt``, the relative standard deviation of its size due to the remainder; the ``rivals``, each with the loss in
-    its place, and its ``probability`` among all of these."""
+    """Evidence for a hypothesis: the ``loss`` of score without it, and its ``adjusted_loss``, that loss if rows are
+    dependent; ``relative_std``, the relative standard deviation of its size due to the remainder; the ``rivals``, each
+    with the loss in its place, and its ``probability`` among all of these."""
 
     loss: float
-    worth: float
-    doubt: float
+    adjusted_loss: float
+    relative_std: float
     rivals: tuple[tuple[Chosen, float], ...]
     probability: float
 
@@ -66,12 +66,14 @@ class Supports(Generic[Chosen, Term]):
         weighted likelihood ratio", 1971), with the standard deviations from the scatter between blocks of time. Losses
         with rivals shrink by the same factor. Prior odds are corrected by how common such hypotheses are on this robot.
         """
-        loss, worth, common = self.loss(candidate), self.worth(candidate), self._common(candidate)
+        loss, worth, common = self.loss(candidate), self.adjusted_loss(candidate), self._common(candidate)
         rivals = self._rivals(self._selection.without(self._found, candidate), candidate)
         kept = max(worth, 0.0) / loss if loss > 0.0 else 1.0
         against = [worth + common, *(kept * worse + common - self._common(rival) for rival, worse in rivals)]
         ordered = tuple(sorted(rivals, key=lambda rival: rival[1]))
-        return Support(loss, worth, self.doubt(candidate), ordered, float(shares([0.0, *against])[0]))
+        return Support(
+            loss, worth, self.relative_std(candidate), ordered, float(posterior_probabilities([0.0, *against])[0])
+        )
 
     def _common(self, candidate: Chosen) -> float:
         """Twice the log factor by which hypotheses like this one are more common than their prior odds: by the Beta
@@ -81,7 +83,7 @@ class Supports(Generic[Chosen, Term]):
         others = sum(c.group in alike for c in self._found.chosen if c.group != candidate.group)
         return 2.0 * float(np.log((1 + others) / (1.0 + candidate.odds * (len(alike) - 1 - others))))
 
-    def worth(self, candidate: Chosen) -> float:
+    def adjusted_loss(self, candidate: Chosen) -> float:
         """Loss of score without it, if rows are dependent."""
         of_size = self._of_size(candidate)
         return min(self.loss(candidate), of_size) if of_size > 0.0 else of_size
@@ -110,7 +112,7 @@ class Supports(Generic[Chosen, Term]):
                 continue
             if loss < 0.0:  # the search has tried such exchanges, so the exact loss decides
                 instead = selection.fit([*rest.chosen, rival], rest)
-                loss = instead.score - current.score if selection.possible(instead) else np.inf
+                loss = instead.score - current.score if selection.is_plausible(instead) else np.inf
             losses[rival] = loss + additional_gains.get(rival, 0.0)
         for instead in selection.rivals(current, candidate):
             replacements = [c for c in instead.chosen if c not in current.chosen and not c.includes(candidate)]
@@ -129,18 +131,18 @@ class Supports(Generic[Chosen, Term]):
         else:
             narrowed = -float(np.linalg.slogdet(current.inverse[np.ix_(places, places)] * current.weights[places])[1])
         square = float(values @ np.linalg.solve(self._covariance[np.ix_(places, places)], values))
-        wider = 1.0 + self.doubt(candidate) ** 2 * square  # of the covariance's determinant
+        wider = 1.0 + self.relative_std(candidate) ** 2 * square  # of the covariance's determinant
         size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
         return size - (price if size > SIGNIFICANT_STDS**2 else max(price, SIGNIFICANT_STDS**2))
 
-    def doubt(self, candidate: Chosen) -> float:
+    def relative_std(self, candidate: Chosen) -> float:
         """Relative standard deviation of its size due to the remainder."""
         return _doubt(
             self._selection.design, self._found, self._remainder_along, candidate, self._found.changes[candidate]
         )
 
 
-def relative_doubt(
+def relative_std_from_remainder(
     design: Design, found: JointFit[Any, Any], columns: Hypothesis[Any] | int, values: FloatArray
 ) -> float:
     """Relative standard deviation, due to the remainder of a fit, of the ``values (k,)`` of a hypothesis's or a link's

@@ -18,7 +18,7 @@ _EVERY = -1  # in place of a limb: affects several, or none
 _LEAST_LEFT = 1e-3  # fraction of a channel's squares that remains: bounds the promise of the quadratic model
 
 
-class Trial(NamedTuple, Generic[Chosen]):
+class ScoreTest(NamedTuple, Generic[Chosen]):
     """Score test of a candidate: ``gain``, its improvement of a fit less its cost, and ``separability``, the fraction
     of its columns that the other parameters, within their prior, cannot imitate."""
 
@@ -27,7 +27,9 @@ class Trial(NamedTuple, Generic[Chosen]):
     separability: float
 
 
-def score_tests(design: Design, current: JointFit[Chosen, Any], candidates: Sequence[Chosen]) -> list[Trial[Chosen]]:
+def score_tests(
+    design: Design, current: JointFit[Chosen, Any], candidates: Sequence[Chosen]
+) -> list[ScoreTest[Chosen]]:
     """Compute by how much each candidate would improve the current fit, to second order.
 
     For fixed weights the step and the gain are those of the Gaussian model (Rao's score test); the gain is then taken
@@ -41,7 +43,7 @@ def score_tests(design: Design, current: JointFit[Chosen, Any], candidates: Sequ
         reached = {of_channel[channel] for channel in design.affected_channels(candidate)}
         limb = reached.pop() if len(reached) == 1 else _EVERY
         by_kind.setdefault((limb, len(candidate.terms)), []).append(candidate)
-    trials: dict[Chosen, Trial[Chosen]] = {}
+    trials: dict[Chosen, ScoreTest[Chosen]] = {}
     for (limb, _), group in by_kind.items():
         if limb not in tests:
             tests[limb] = _Test(design, current, covariance, np.flatnonzero((limbs == limb) | (limb == _EVERY)))
@@ -61,7 +63,7 @@ def _limbs(current: JointFit[Any, Any]) -> IntArray:
     return first
 
 
-def score_test(design: Design, current: JointFit[Chosen, Any], candidate: Chosen) -> Trial[Chosen]:
+def score_test(design: Design, current: JointFit[Chosen, Any], candidate: Chosen) -> ScoreTest[Chosen]:
     """Compute the score test of one candidate."""
     return score_tests(design, current, [candidate])[0]
 
@@ -90,7 +92,7 @@ class _Test(Generic[Chosen]):
             row[places] = block @ self._vector[places]
         self._values = dict(zip(current.terms, current.point.reals.tolist(), strict=True))
 
-    def of(self, alike: Sequence[Chosen]) -> dict[Chosen, Trial[Chosen]]:
+    def of(self, alike: Sequence[Chosen]) -> dict[Chosen, ScoreTest[Chosen]]:
         """Compute the score tests of candidates with equally many columns."""
         places = self._design.places(self._current.bodies, self._current.terms)
         products = self._design.candidate_products(
@@ -118,7 +120,7 @@ class _Test(Generic[Chosen]):
         gain[impossible | (largest <= _LEAST_EIGENVALUE)] = -np.inf
         gain -= np.sum(trust * step**2, axis=1) + np.array([candidate.cost for candidate in alike])
         gain -= self._log_narrowing(alike, precision, trust)
-        return {c: Trial(c, g, s) for c, g, s in zip(alike, gain.tolist(), separability.tolist(), strict=True)}
+        return {c: ScoreTest(c, g, s) for c, g, s in zip(alike, gain.tolist(), separability.tolist(), strict=True)}
 
     def _trust(self, alike: Sequence[Chosen]) -> FloatArray:
         """Prior precisions ``(G, k)`` of the candidates' coefficients; of bodies almost zero."""

@@ -53,7 +53,7 @@ class Remainder:
     prior_covariance: FloatArray | None = None
 
     @property
-    def usual(self) -> FloatArray:
+    def default_variances(self) -> FloatArray:
         """Default variance of each block ``(blocks,)``."""
         return np.full(int(np.max(self.block, initial=-1)) + 1, DEFAULT_VARIANCE)
 
@@ -104,9 +104,9 @@ class Remainder:
         mean square of the named effects in units of the noise variance. No effect acts exactly as its columns state.
         """
         if self.prior_covariance is not None:
-            return self.usual + _IMPERFECT**2 * named
+            return self.default_variances + _IMPERFECT**2 * named
         if not len(self.block) or not square > 0.0:
-            return self.usual
+            return self.default_variances
         residual = self.crossed @ vector
         starts = self._starts if near is None else [(near, self.whitener(near))]
         solutions = [self._from(*start, residual, square) for start in starts]
@@ -115,7 +115,7 @@ class Remainder:
     @cached_property
     def _starts(self) -> list[tuple[FloatArray, FloatArray]]:
         """Initial variances and their whiteners."""
-        starts = [start * np.ones(len(self.usual)) for start in _STARTS]
+        starts = [start * np.ones(len(self.default_variances)) for start in _STARTS]
         return [(variances, self.whitener(variances)) for variances in starts]
 
     def _from(

@@ -12,7 +12,7 @@ from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit
 from geomid_ros.inference.hypothesis import Chosen, Term
 from geomid_ros.inference.prior import Prior
-from geomid_ros.inference.rao_score import Trial, score_tests
+from geomid_ros.inference.rao_score import ScoreTest, score_tests
 
 KEPT_PROMISE = 2.5
 """Most that a hypothesis gains, as a multiple of the promise of the score test: of some 3,000 none gained more. No loss
@@ -32,8 +32,8 @@ class Selection(Generic[Chosen, Term]):
         self.prior = prior
         self.hypotheses = list(hypotheses)
         self._fits: dict[frozenset[Chosen], JointFit[Chosen, Term]] = {}
-        self._bodies: dict[frozenset[Chosen], list[Trial[Chosen]]] = {}
-        self._ranked: dict[frozenset[Chosen], list[Trial[Chosen]]] = {}
+        self._bodies: dict[frozenset[Chosen], list[ScoreTest[Chosen]]] = {}
+        self._ranked: dict[frozenset[Chosen], list[ScoreTest[Chosen]]] = {}
         self._groups = {hypothesis.group: hypothesis for hypothesis in self.hypotheses}
         self._excluded: dict[Hashable, frozenset[Hashable]] = {}
         self._contested_at: dict[Chosen, float] = {}  # score at which rivals are tried again
@@ -49,17 +49,17 @@ class Selection(Generic[Chosen, Term]):
         """Return the fit without some of its hypotheses."""
         return self.fit([c for c in current.chosen if c not in gone], current)
 
-    def ranked(self, current: JointFit[Chosen, Term]) -> list[Trial[Chosen]]:
+    def ranked(self, current: JointFit[Chosen, Term]) -> list[ScoreTest[Chosen]]:
         """Rank the hypotheses that could join, the best of each group, by the score test."""
         key = frozenset(current.chosen)
         if key not in self._ranked:
             self._ranked[key] = self._rank(current, self.hypotheses)
         return self._ranked[key]
 
-    def _rank(self, current: JointFit[Chosen, Term], among: Sequence[Chosen]) -> list[Trial[Chosen]]:
+    def _rank(self, current: JointFit[Chosen, Term], among: Sequence[Chosen]) -> list[ScoreTest[Chosen]]:
         excluded = set[Hashable]().union(*map(self._excluded_by, current.chosen))
         possible = [c for c in among if c.group not in excluded]
-        best: dict[Hashable, Trial[Chosen]] = {}
+        best: dict[Hashable, ScoreTest[Chosen]] = {}
         for trial in score_tests(self.design, current, possible):
             group = trial.candidate.group
             if group not in best or trial.gain > best[group].gain:
@@ -73,7 +73,7 @@ class Selection(Generic[Chosen, Term]):
             self._excluded[chosen.group] = frozenset(excluded)
         return self._excluded[chosen.group]
 
-    def possible(self, found: JointFit[Chosen, Term]) -> bool:
+    def is_plausible(self, found: JointFit[Chosen, Term]) -> bool:
         """True if no coefficient has an impossible sign or size, and no body has more mass than the robot."""
         return not any(self.is_out_of_range(found, candidate) for candidate in found.chosen)
 
@@ -96,7 +96,7 @@ class Selection(Generic[Chosen, Term]):
                 break
         return current
 
-    def settle(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+    def optimise(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
         """Grow, and exchange hypotheses for others, until nothing changes."""
         for _ in range(_EXCHANGES):
             before = current.score
@@ -125,13 +125,13 @@ class Selection(Generic[Chosen, Term]):
             if best is not None and not channels & reached:
                 continue
             larger = self.fit([*current.chosen, trial.candidate], current)
-            if self.possible(larger) and larger.score < (best or current).score:
+            if self.is_plausible(larger) and larger.score < (best or current).score:
                 best, reached = larger, channels
         return best
 
     def _promising(
         self, current: JointFit[Chosen, Term], least: float, instead_of: Chosen | None = None
-    ) -> list[Trial[Chosen]]:
+    ) -> list[ScoreTest[Chosen]]:
         """Return the hypotheses that are worth an exact fit, best first: those that the score test prefers, and bodies,
         each with a gain above ``least``."""
         trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload is None]
@@ -140,7 +140,7 @@ class Selection(Generic[Chosen, Term]):
             trials += [t for t in self._promising_bodies(current) if t.gain > least and t.candidate is not instead_of]
         return sorted(trials, key=lambda trial: -trial.gain)
 
-    def _promising_bodies(self, current: JointFit[Chosen, Term]) -> list[Trial[Chosen]]:
+    def _promising_bodies(self, current: JointFit[Chosen, Term]) -> list[ScoreTest[Chosen]]:
         """Return the bodies that are worth an exact fit. At the fit itself the score test underrates them: nearly free
         inertias, which the body made wrong, imitate it. So the test uses the inertias' default prior std."""
         key = frozenset(current.chosen)
@@ -199,7 +199,7 @@ class Selection(Generic[Chosen, Term]):
         fits = [self.fit([*rest.chosen, t.candidate], rest) for t in self._promising(rest, least, candidate)]
         fits += [f for f in (self._rescaled(current, candidate),) if f is not None]
         fits += self._with_other_constants(current, candidate)
-        return sorted((f for f in fits if self.possible(f)), key=lambda joint_fit: joint_fit.score)
+        return sorted((f for f in fits if self.is_plausible(f)), key=lambda joint_fit: joint_fit.score)
 
     def _with_other_constants(
         self, current: JointFit[Chosen, Term], candidate: Chosen

@@ -33,7 +33,7 @@ NOT_YET = "no estimate yet"
 SLOW = "still saving"
 """Parts of answers: nothing is saved so far."""
 
-Answer: TypeAlias = tuple[bool, str]
+SaveOutcome: TypeAlias = tuple[bool, str]
 """True if an estimate was saved, and a sentence."""
 
 
@@ -155,12 +155,12 @@ class Checkpoints:
 class _OneAnswer:
     """Passes on the first of several answers."""
 
-    def __init__(self, done: Callable[[Answer], None]) -> None:
+    def __init__(self, done: Callable[[SaveOutcome], None]) -> None:
         self._done = done
         self._lock = threading.Lock()
         self.given = False
 
-    def __call__(self, answer: Answer) -> None:
+    def __call__(self, answer: SaveOutcome) -> None:
         with self._lock:
             if self.given:
                 return
@@ -187,7 +187,7 @@ class Saving:
         slow = f"saving takes {seconds:.0f} s so far: {self._folder} is slow" if seconds > LONG else ""
         return tuple(filter(None, (self._problem, slow)))
 
-    def begin(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[Answer], None]) -> None:
+    def begin(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[SaveOutcome], None]) -> None:
         """Save in a thread. The estimate's remainder, which takes longer to compute, is saved after the answer.
 
         Args:
@@ -197,7 +197,7 @@ class Saving:
         """
         start_daemon("saving", self._save_whole, worker, result, done)
 
-    def _save_whole(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[Answer], None]) -> None:
+    def _save_whole(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[SaveOutcome], None]) -> None:
         answer = self._save(worker.session, result)
         done(answer)
         if isinstance(result, Estimate) and answer[0] and self._remainder_of(result) is None:
@@ -205,11 +205,11 @@ class Saving:
 
     def _save_remainder(self, worker: Worker, estimate: Estimate) -> None:
         """Add the estimate's remainder in the remembered data to the files, unless another was saved meanwhile."""
-        from geomid_ros.session.gap import identified_session, lacking_in_messages  # noqa: PLC0415 a third of the start
+        from geomid_ros.session.gap import identified_session, remainder_in_messages  # noqa: PLC0415 a third of the start
 
         try:
             messages = worker.messages()  # all of them, as the estimate is, even if a gap is open
-            remainder = lacking_in_messages(identified_session(worker.session, estimate), messages)
+            remainder = remainder_in_messages(identified_session(worker.session, estimate), messages)
             with self._one_at_a_time:
                 if remainder is not None and self._saved is estimate:
                     self._remainder = estimate, remainder
@@ -220,7 +220,7 @@ class Saving:
     def _remainder_of(self, estimate: Estimate) -> KnownRemainder | None:
         return self._remainder[1] if self._remainder is not None and self._remainder[0] is estimate else None
 
-    def begin_when_solved(self, worker: Worker, done: Callable[[Answer], None]) -> None:
+    def begin_when_solved(self, worker: Worker, done: Callable[[SaveOutcome], None]) -> None:
         """Save an estimate from all data so far, in threads; the last estimate if that takes long to solve.
 
         Args:
@@ -245,11 +245,11 @@ class Saving:
 
     def save_last(self, session: Session, estimate: Estimate, patience: float) -> str:
         """Save, unless that takes longer than ``patience`` [s]. Return a sentence on the outcome."""
-        answers: list[Answer] = []
+        answers: list[SaveOutcome] = []
         start_daemon("saving", lambda: answers.append(self._save(session, estimate))).join(patience)
         return answers[0][1] if answers else f"{self._folder} is too slow to save the last estimate"
 
-    def _save(self, session: Session, result: Estimate | GeomidError) -> Answer:
+    def _save(self, session: Session, result: Estimate | GeomidError) -> SaveOutcome:
         if isinstance(result, GeomidError):
             return False, str(result)
         with self._one_at_a_time, self._activity.doing("saving"):

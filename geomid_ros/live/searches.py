@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
-from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.weighed_payload import Payload, identify_payload_at
@@ -24,12 +24,12 @@ from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.session.payload import payload_session
 from geomid_ros.session.recordings import samples_of_messages
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import JOINT_STATES, Accepted
+from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages
 
 _PATIENCE = 0.2  # [s] for a search to notice that it was closed
 
 
-class Found(Protocol):
+class SearchResult(Protocol):
     """Result of a search."""
 
     @property
@@ -41,7 +41,7 @@ class Found(Protocol):
         """Complete result, for JSON."""
 
 
-R = TypeVar("R", bound=Found)
+R = TypeVar("R", bound=SearchResult)
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class FoundGap:
     that it is ``compared`` with, if not the robot description."""
 
     result: GapResult
-    causes: Sequence[Finding] = ()
+    causes: Sequence[RecordingFault] = ()
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
     compared: str = ""
@@ -152,8 +152,8 @@ class FoundGap:
 def look_for_gap(
     session: Session,
     before: Estimate | None,
-    earlier: Sequence[Accepted],
-    messages: Sequence[Accepted],
+    earlier: Sequence[AcceptedMessages],
+    messages: Sequence[AcceptedMessages],
     progress: Progress,
 ) -> FoundGap:
     """Search for a gap in messages that the pipeline of a live session has accepted.
@@ -174,16 +174,16 @@ def look_for_gap(
         find_in_messages,
         gap_session,
         identified_session,
-        lacking_in_messages,
-        standing_of,
+        known_remainder_of,
+        remainder_in_messages,
     )
 
     if before is None:
         ref = gap_session(session.urdf, session.configuration, "robot_description")
-        result = find_in_messages(ref, messages, standing_of(ref), progress)
+        result = find_in_messages(ref, messages, known_remainder_of(ref), progress)
         return FoundGap(result, ref.review.findings, ref.review.warnings(), [*session.notes, *ref.review.settled])
     ref = identified_session(session, before)
-    result = find_in_messages(ref, messages, lacking_in_messages(ref, earlier, progress), progress)
+    result = find_in_messages(ref, messages, remainder_in_messages(ref, earlier, progress), progress)
     compared = f"{COMPARED}, of {before.rows_accepted} rows"
     return FoundGap(result, ref.review.findings, ref.review.warnings(), session.notes, compared)
 
@@ -197,7 +197,7 @@ class PayloadSearch:
     def __init__(self, on_end: Callable[[SearchStatus[Payload]], None]) -> None:
         """``on_end``: see :class:`BackgroundSearch`."""
         self._search = BackgroundSearch("not weighed", on_end)
-        self._empty: Sequence[Accepted] = ()
+        self._empty: Sequence[AcceptedMessages] = ()
 
     def forget(self) -> None:
         """Forget the motion without the payload."""
@@ -239,7 +239,9 @@ class PayloadSearch:
         return True, f"identifying the payload from {_seconds(loaded):.0f} s; the result is published on ~/payload"
 
 
-def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepted], progress: Progress) -> Payload:
+def _weigh(
+    session: Session, empty: Sequence[AcceptedMessages], loaded: Sequence[AcceptedMessages], progress: Progress
+) -> Payload:
     recordings: list[Samples] = []
     for condition, messages in (("without", empty), ("with", loaded)):
         stage = f"reading the motion {condition} the payload"
@@ -255,11 +257,11 @@ def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepte
     return identify_payload_at(session, recordings[:1], recordings[1:], frame, gain)
 
 
-def _last_stamp(messages: Sequence[Accepted]) -> int:
+def _last_stamp(messages: Sequence[AcceptedMessages]) -> int:
     return max(int(block.stamps[-1]) for block in messages)
 
 
-def _seconds(messages: Sequence[Accepted]) -> float:
+def _seconds(messages: Sequence[AcceptedMessages]) -> float:
     """Time span of joint messages [s]."""
     joints = [block for block in messages if block.topic == JOINT_STATES] or messages
     return 1e-9 * float(_last_stamp(joints) - min(int(block.stamps[0]) for block in joints))

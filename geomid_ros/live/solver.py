@@ -92,7 +92,7 @@ class Solver:
         thread."""
         self._requests.put(partial(self._answer, done))
 
-    def watch(self) -> None:
+    def request_change_search(self) -> None:
         """Request a search for changes, as there are enough rows. Requests that wait already include one."""
         if self._requests.empty():
             self._requests.put(self._watch)
@@ -103,11 +103,11 @@ class Solver:
             self._session.identifier.reset()
             self._begin_anew()
 
-    def use(self, configuration: Configuration) -> None:
+    def reconfigure(self, configuration: Configuration) -> None:
         """Solve all rows again with another configuration; a running solve is discarded. Raises InputError, and changes
         nothing, if the configuration does not fit."""
         with self._lock:
-            self._session.use(configuration)
+            self._session.reconfigure(configuration)
             self.period = configuration["solve_period"]
             self._solve_afresh()
 
@@ -127,11 +127,11 @@ class Solver:
     def _solve_afresh(self) -> None:
         """Let the next solve choose its starting point and the prior's weight again."""
         self._epoch += 1
-        self._session.warm = None
+        self._session.warm_start = None
         self._solved_rows = 0
 
     @property
-    def carried(self) -> CarriedPayload | None:
+    def payload(self) -> CarriedPayload | None:
         """Payload that was picked up; None if there is none."""
         payload = self.detector.payload
         return None if payload is None else payload.payload
@@ -221,9 +221,9 @@ class Solver:
             self._fail(error)
 
     def _report_payload(self, detector: ChangeDetector) -> None:
-        if detector is self.detector and (carried := self.carried) is not self._reported:
+        if detector is self.detector and (carried := self.payload) is not self._reported:
             self._reported = carried
-            self._listener.carried(carried)
+            self._listener.on_payload(carried)
 
     def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
         """Leave out the rows of changed sensors; accept for good the rows of sensors that are sound."""
@@ -250,7 +250,7 @@ class Solver:
         """Return the starting point of the next solve; None before the first, and after a failed one. If much is new,
         it has the effects only, and the prior's weight is chosen again."""
         with self._lock:
-            warm = self._session.warm
+            warm = self._session.warm_start
             if warm is None or self.problem:
                 return None
             return replace(warm, effects_alone=self._session.identifier.has_grown_beyond(warm.rows, _CHOSEN_ANEW))
@@ -267,14 +267,14 @@ class Solver:
 
     def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
         with self._lock:
-            rows, epoch, samples = self._session.identifier.rows, self._epoch, self._session.identifier.instants
+            rows, epoch, samples = self._session.identifier.rows, self._epoch, self._session.identifier.sample_count
         self._judge()
         try:
             self._session.review.check_description()
             estimate = self._finite(self._session.identifier.solve(warm))
             if self._keep(estimate, rows, epoch, warm):
                 self._earlier.append((samples, estimate))
-                self._listener.estimate(self._session, estimate)
+                self._listener.on_estimate(self._session, estimate)
         except Exception as error:  # noqa: BLE001 the last estimate stays; the diagnostics report it
             if not isinstance(error, GeomidError):
                 self._fail(error)
@@ -303,7 +303,7 @@ class Solver:
             self.problem = ""
             self.estimate = estimate
             prior_rows = rows if warm is None or warm.effects_alone else warm.rows
-            self._session.warm = WarmStart(estimate.parameters, prior_rows, estimate.prior_stds)
+            self._session.warm_start = WarmStart(estimate.parameters, prior_rows, estimate.prior_stds)
             return True
 
     def _fail(self, error: Exception) -> None:

@@ -16,13 +16,13 @@ from geomid_ros.signals.ledger import Account
 class Listener:
     """Receives the results of a live session, in the thread that produces them. This base class ignores them."""
 
-    def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:
+    def on_samples(self, session: Session, samples: Samples, estimate: Estimate) -> None:
         """Receive new samples, and the estimate, payload included, to predict them with."""
 
-    def estimate(self, session: Session, estimate: Estimate) -> None:
+    def on_estimate(self, session: Session, estimate: Estimate) -> None:
         """Receive a new estimate."""
 
-    def carried(self, carried: CarriedPayload | None) -> None:
+    def on_payload(self, carried: CarriedPayload | None) -> None:
         """Receive the payload that is carried from now on; None if there is none."""
 
 
@@ -37,7 +37,7 @@ class Status:
     - ``receipt_to_row`` [s]: for each of the latest samples, the time from the callback of the message that completed
       it until its rows were added. The lag of the filter is not part of it.
     - ``joints``: their number; ``unmeasured``: those without efforts.
-    - ``carried``: a payload that was picked up.
+    - ``payload``: a payload that was picked up.
     - ``gaps``: state of the monitored channels; ``changed_sensors``: topics of wrench sensors that have changed, whose
       rows are left out.
     - ``configured``: False while a managed node is unconfigured.
@@ -61,7 +61,7 @@ class Status:
     gaps: tuple[ChannelGap, ...] = ()
     estimate: Estimate | None = None
     changed_sensors: tuple[str, ...] = ()
-    carried: CarriedPayload | None = None
+    payload: CarriedPayload | None = None
     configured: bool = True
 
     def account(self, topic: str) -> Account:

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-from geomid_ros.checks.check import JudgementTask
+from geomid_ros.checks.recording_check import CheckTask
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
@@ -97,10 +97,10 @@ class Supervisor:
         session = Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
         if self._solving:
             session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
-            session.review.use(self._solving.remote(JudgementTask.judge))
+            session.review.judge_with(self._solving.remote(CheckTask.judge))
         if self.worker is not None:
             self.worker.close()
-            self._listener.carried(None)
+            self._listener.on_payload(None)
         self._restore(session)
         self.worker, self._solves = Worker(session, self._configuration["solve_period"], self._listener), 0
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
@@ -112,7 +112,7 @@ class Supervisor:
     def _with_locked(self, absent: tuple[str, ...]) -> Configuration:
         return with_locked(self._configuration, absent) if absent else self._configuration
 
-    def use(self, configuration: Configuration, *, rebuild: bool) -> None:
+    def reconfigure(self, configuration: Configuration, *, rebuild: bool) -> None:
         """Solve with another configuration from now on; with ``rebuild`` only from the next :meth:`build` on.
 
         Raises:
@@ -120,7 +120,7 @@ class Supervisor:
         """
         self._configuration = configuration
         if self.worker is not None and not rebuild:
-            self.worker.solver.use(self._with_locked(self._absent))
+            self.worker.solver.reconfigure(self._with_locked(self._absent))
 
     def _restore(self, session: Session) -> None:
         """If a checkpoint folder is configured, resume the session from its checkpoint and write new ones."""

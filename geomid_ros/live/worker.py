@@ -16,7 +16,7 @@ from geomid_ros.live.inbox import Inbox, Received, Request
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Listener, Status
 from geomid_ros.live.threads import Activity, start_daemon
-from geomid_ros.model.measurement import Rows
+from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import PART
 from geomid_ros.monitoring.payload_watch import with_payload
@@ -24,7 +24,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.session.training import WrenchGuard
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import count_reason
-from geomid_ros.signals.messages import JOINT_STATES, Accepted, Block, message_type
+from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Block, message_type
 from geomid_ros.types import FloatArray, IntArray
 
 PATIENCE = 0.7  # [s] for both threads to end; with the last checkpoint, shutdown stays below two seconds
@@ -85,7 +85,7 @@ class Worker:
         """Solve from scratch for all messages so far. ``done(result)`` is called in the solver's thread."""
         self._inbox.request(lambda: self.solver.request(done))
 
-    def recent_messages(self) -> list[Accepted]:
+    def recent_messages(self) -> list[AcceptedMessages]:
         """Return the remembered messages; while a gap is open or a payload is carried, only those since then.
 
         Before and after a change the robot differs, and no single effect explains both.
@@ -93,11 +93,11 @@ class Worker:
         begin = max((opened + _TRANSITION for opened, _ in self.solver.detector.changes), default=0)
         return [later for block in self.session.recent.entries() if len(later := block.since(begin))]
 
-    def messages(self) -> list[Accepted]:
+    def messages(self) -> list[AcceptedMessages]:
         """Return all remembered messages."""
         return self.session.recent.entries()
 
-    def messages_before_gap(self) -> list[Accepted]:
+    def messages_before_gap(self) -> list[AcceptedMessages]:
         """Return the remembered messages from before the first open gap (or payload); all of them if there is none."""
         opened = [since for since, _ in self.solver.detector.changes]
         entries = self.session.recent.entries()
@@ -135,14 +135,14 @@ class Worker:
             rows_made=rows.made + lost.total(),
             rows_rejected=rows.rejected + lost,
             lag=pipeline.lag,
-            queue=self._inbox.unfinished + pipeline.held,
+            queue=self._inbox.unfinished + pipeline.waiting_count,
             receipt_to_row=receipt_to_row,
             solves=self.solver.solves,
             accounts=self.ledger.topics,
             joints=len(self.session.robot.joint_names),
             unmeasured=pipeline.unmeasured if self.session.model.layout.efforts else (),
             gaps=self.solver.detector.gaps,
-            carried=self.solver.carried,
+            payload=self.solver.payload,
             estimate=self.solver.estimate,
             changed_sensors=self.solver.changed_sensors,
         )
@@ -207,11 +207,11 @@ class Worker:
 
     def _add(self, samples: Samples, received: FloatArray) -> None:
         """Add the rows of samples to the identifier. The messages that completed them were ``received (N,)`` [s]."""
-        estimate, payload, identifier = self.solver.estimate, self.solver.carried, self.session.identifier
+        estimate, payload, identifier = self.solver.estimate, self.solver.payload, self.session.identifier
         before = identifier.made
         payload_parameters = None if payload is None else payload.added(np.zeros(self.session.model.dimension))
         try:
-            stamps, rows, uncertain = identifier.add(samples, carried=payload_parameters)
+            stamps, rows, uncertain = identifier.add(samples, payload_parameters=payload_parameters)
         except Exception as error:  # noqa: BLE001 as above
             lost = before + len(samples) * len(self.session.model.channels) - identifier.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
@@ -226,8 +226,8 @@ class Worker:
             self.solver.begin_anew()
         settled = Rows(rows.coefficients, np.where(uncertain, np.nan, rows.targets))
         trusted = self._wrenches.without_doubtful(settled)
-        if self.solver.detector.add(identifier.instants - len(stamps), stamps, trusted):
-            self.solver.watch()
+        if self.solver.detector.add(identifier.sample_count - len(stamps), stamps, trusted):
+            self.solver.request_change_search()
         if estimate is not None:
             self._report_prediction(samples, with_payload(estimate, payload))
 
@@ -243,7 +243,7 @@ class Worker:
 
     def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
         try:
-            self._listener.prediction(self.session, samples, estimate)
+            self._listener.on_samples(self.session, samples, estimate)
         except Exception as error:  # noqa: BLE001 as above
             self._fail("a prediction could not be published", error)
 

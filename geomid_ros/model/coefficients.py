@@ -46,7 +46,7 @@ class Coefficient:
     @property
     def positive(self) -> bool:
         """True if it is on P(1), not on a real line."""
-        return self.index < self.effect.own_positives
+        return self.index < self.effect.column_positives
 
     @property
     def mechanism(self) -> Mechanism:
@@ -58,7 +58,7 @@ class Coefficient:
         parameter = {self.parameter: Quantity(value, std, self.unit)}
         constants = self.effect.constants([(value, std)], math.nan, 0.0)
         sliding = self.effect.parameters[0].units[0] != self.unit
-        first = self.effect.parameters.index(self.effect.own[-1]) + 1
+        first = self.effect.parameters.index(self.effect.column_parameters[-1]) + 1
         return parameter | quantities(self.effect.parameters[first:], constants, sliding=sliding)
 
 
@@ -72,7 +72,7 @@ class EffectPlaces:
         common: effects that act at every place of their kind.
         local: effects that act at one place only, by the name of the place.
         candidates: effects that may act at every default place of their kind without a local effect of that name.
-        behind_gear: names of the joints with effort sensors on the link side of the gear, unaffected by the motor.
+        link_side_joints: names of the joints with effort sensors on the link side of the gear, unaffected by the motor.
         commanded: True if efforts are computed from commands, which may act late.
     """
 
@@ -83,7 +83,7 @@ class EffectPlaces:
     common: Sequence[IdentifiedEffect]
     local: Mapping[str, Sequence[IdentifiedEffect]]
     candidates: Sequence[IdentifiedEffect]
-    behind_gear: Collection[str]
+    link_side_joints: Collection[str]
     commanded: bool
 
     def of(self, effect: Effect) -> list[Place]:
@@ -127,7 +127,7 @@ class EffectPlaces:
             raise unknown_name(f"place of {effect.label}", name, places)
         return places[name]
 
-    def is_usual(self, place: Place) -> bool:
+    def is_default(self, place: Place) -> bool:
         """True if candidate effects are tried at a place by default. Two joints must have intersecting axes, because
         only then does a gear between them make them share a motor."""
         return not isinstance(place, AtJoints) or self.robot.axes_meet(place.first, place.second)
@@ -156,17 +156,17 @@ class EffectPlaces:
         """True if an effect is in the model at a place: it is local there, or it is common or a candidate and no local
         effect has its name (with other constants)."""
         local = self.local.get(self.name(place), ())
-        everywhere = effect in self.common or (effect in self.candidates and self.is_usual(place))
+        everywhere = effect in self.common or (effect in self.candidates and self.is_default(place))
         return effect in local or (everywhere and effect.name not in {other.name for other in local})
 
     def _is_measured(self, effect: IdentifiedEffect, place: Place) -> bool:
         """True if the effort sensors are on the side of the gear where an effect acts."""
         joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
-        return not (effect.before_gear and joints.intersection(self.behind_gear))
+        return not (effect.before_gear and joints.intersection(self.link_side_joints))
 
     def _at(self, effect: IdentifiedEffect, place: Place) -> Iterator[Coefficient]:
         name, sliding = self.name(place), self.slides(place)
-        forms = effect.own
+        forms = effect.column_parameters
         if isinstance(place, AtSensor):
             by_axis = {form.name: form for form in forms}
             axes = next((sensor.axes for sensor in self.sensors if sensor.topic == place.topic), tuple(by_axis))
@@ -191,7 +191,7 @@ class EffectPlaces:
 
     def mover(self, link: str) -> int | None:
         """Return the joint that moves a link, itself or through a mimic joint; None if none does."""
-        places = {f.joint.name: f.master for f in self.robot.followers}
+        places = {f.joint.name: f.master for f in self.robot.mimic_joints}
         places |= {name: place for place, name in enumerate(self.robot.joint_names)}
         above = (joint.name for joint in self.robot.tree.joints_above(link))
         return next((places[name] for name in above if name in places), None)

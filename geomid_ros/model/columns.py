@@ -41,7 +41,7 @@ class JointColumn:
         """Its values ``(N, J)``."""
         return self.function.column(motion)
 
-    def reached(self, joints: int) -> tuple[int, ...]:
+    def affected_joints(self, joints: int) -> tuple[int, ...]:
         """Return the joints where it can be nonzero: all."""
         return tuple(range(joints))
 
@@ -57,9 +57,9 @@ class PlacedColumn:
         """Return efforts ``(N, J)`` per unit of its coefficient."""
         return self.effect.efforts(motion, self.place)
 
-    def reached(self, joints: int) -> tuple[int, ...]:
+    def affected_joints(self, joints: int) -> tuple[int, ...]:
         """Return the joints where it can be nonzero."""
-        return reached_joints(self.place, joints)
+        return affected_joints(self.place, joints)
 
 
 Column: TypeAlias = JointColumn | PlacedColumn
@@ -70,7 +70,7 @@ def column_of(effect: MotionEffect, place: Place) -> Column:
     return JointColumn(effect) if isinstance(effect, JointEffect) else PlacedColumn(effect, place)
 
 
-def reached_joints(place: Place, joints: int) -> tuple[int, ...]:
+def affected_joints(place: Place, joints: int) -> tuple[int, ...]:
     """Return the joints whose efforts an effect at a place affects: all for an effect of the whole robot."""
     return tuple(range(joints)) if isinstance(place, OnRobot) else joints_of(place)
 
@@ -138,7 +138,7 @@ class Entries:
     def _spans(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
         spans, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0
         for group in self._groups.values():
-            reached = [column.reached(self.joints) for column in group]
+            reached = [column.affected_joints(self.joints) for column in group]
             end = begin + sum(map(len, reached))
             for start, (column, joints) in enumerate(zip(group, reached, strict=True), begin):
                 spans[column] = slice(start, end, len(group)), joints
@@ -153,7 +153,7 @@ class Entries:
     def _pairs(self) -> list[tuple[list[PairEffect], IntArray]]:
         """Pair effects that act at the same pairs of joints, and these joints ``(2, columns)``."""
         groups = [
-            (effect, [column.reached(self.joints) for column in columns])
+            (effect, [column.affected_joints(self.joints) for column in columns])
             for effect, columns in self._groups.items()
             if isinstance(effect, PairEffect)
         ]
@@ -165,7 +165,7 @@ class Entries:
     def _single(self) -> list[tuple[Column, slice | list[int]]]:
         """All other columns, and the joints that each reaches: a full slice if it reaches all."""
         columns = [column for column in self._groups if not isinstance(column, PairEffect)]
-        reached = [[*column.reached(self.joints)] for column in columns]
+        reached = [[*column.affected_joints(self.joints)] for column in columns]
         return [(c, slice(None) if len(at) == self.joints else at) for c, at in zip(columns, reached, strict=True)]
 
 
@@ -179,6 +179,6 @@ def entries_of(effects: Iterable[tuple[MotionEffect, Place, float]], joints: int
     entries = Entries(tuple(dict.fromkeys(column for column, _, _ in columns)), joints)
     strengths = np.zeros((len(entries), joints))
     for column, place, value in columns:
-        for joint in reached_joints(place, joints):
+        for joint in affected_joints(place, joints):
             strengths[entries.at(column, joint), joint] += value
     return entries, strengths

@@ -31,7 +31,7 @@ class Gains:
 
 
 @dataclass(frozen=True, eq=False)
-class Controller:
+class PDController:
     """Gains of all joints ``(joints,)``: effort = kp (q_c - q) + kd (v_c - v) + feed-forward.
 
     Commands act ``delay`` [ns] after their stamps.
@@ -42,7 +42,7 @@ class Controller:
     delay: int = 0
 
     @staticmethod
-    def of(gains: Mapping[str, Gains], joints: Sequence[str], delay: float) -> Controller | None:
+    def of(gains: Mapping[str, Gains], joints: Sequence[str], delay: float) -> PDController | None:
         """Build from ``gains`` by joint (an empty name: all other joints) and a ``delay`` [s]; None without gains.
 
         Raises InputError for an unknown joint or one without gains.
@@ -56,7 +56,7 @@ class Controller:
         if None in joint_gains:
             raise InputError(f"joint '{joints[joint_gains.index(None)]}' has no gains; give KP:KD for all joints")
         kp, kd = np.array([(gain.kp, gain.kd) for gain in joint_gains if gain is not None]).T
-        return Controller(kp, kd, round(1e9 * delay))
+        return PDController(kp, kd, round(1e9 * delay))
 
     def efforts(self, commands: FloatArray, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Compute efforts ``(N, joints)`` from ``commands (N, 3, joints)``: position, velocity, feed-forward."""

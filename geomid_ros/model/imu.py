@@ -65,7 +65,7 @@ class ImuMount:
         lever_acceleration = np.cross(rate_change, self.origin) + np.cross(rate, np.cross(rate, self.origin))
         world_up = -self.gravity / np.linalg.norm(self.gravity)
         quaternions = se3.shortest_rotation(up @ self.rotation.T, world_up)
-        gravity = se3.turned_back(quaternions, self.gravity)
+        gravity = se3.rotate_inverse(quaternions, self.gravity)
         acceleration = specific_force @ self.rotation.T - lever_acceleration + gravity
         zeros = np.zeros_like(rate)
         return (

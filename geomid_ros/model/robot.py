@@ -113,8 +113,8 @@ class Robot:
         self.joints = tuple(joint for joint in moving if self._master(joint.name) is None)
         self.joint_names = tuple(joint.name for joint in self.joints)
         """Names of the moving joints, in the order of all joint arrays."""
-        self.followers = self._followers(moving)
-        self.repaired: dict[str, str] = {}
+        self.mimic_joints = self._followers(moving)
+        self.inertia_repairs: dict[str, str] = {}
         """Description of each repair to an inconsistent URDF inertia, by link."""
         self.bodies = self._bodies(set(cuts))
         self.body_names = tuple(body.name for body in self.bodies)
@@ -133,7 +133,7 @@ class Robot:
             for turns in (False, True)
         )
         self._offsets = np.zeros(self._model.nv)
-        self._offsets[[f.joint.v for f in self.followers]] = [f.offset for f in self.followers]
+        self._offsets[[f.joint.v for f in self.mimic_joints]] = [f.offset for f in self.mimic_joints]
         self._moved_by = np.array([body.joint - 1 for body in self.bodies])
         self._to_joints = np.array([body.to_joint for body in self.bodies])
 
@@ -208,7 +208,7 @@ class Robot:
         return tuple(sorted((body for body in bodies if body is not None), key=lambda body: body.joint))
 
     @property
-    def massless(self) -> tuple[str, ...]:
+    def massless_links(self) -> tuple[str, ...]:
         """Moving links that are physical parts, not just frames, but have no mass, nor have the links fixed to them."""
         groups = [self._rigid_group(head, set(self._heads)) for head in self._heads]
         weightless = [group for group in groups if self.tree.inertials.keys().isdisjoint(group)]
@@ -266,7 +266,7 @@ class Robot:
             )
         repaired = pseudo_inertia.nearest_body(parameters)
         change = np.max(np.abs(repaired - parameters)[4:])
-        self.repaired[head] = (
+        self.inertia_repairs[head] = (
             f"the URDF's inertia of link '{head}'{merged} is not physically consistent; its mass and centre of mass "
             f"are kept, its moments are raised by up to {change:.2g} kg m^2 (a radius of gyration of at "
             f"least {1e3 * pseudo_inertia.least_gyration(mass):.2g} mm)"
@@ -377,7 +377,7 @@ class Robot:
         """True where a joint, or one of its mimic joints, moves a body ``(joints, bodies)``."""
         carries = np.zeros((len(self.joints), len(self.bodies)), dtype=np.bool_)
         moving = {joint.name: index for index, joint in enumerate(self.joints)}
-        moving |= {follower.joint.name: follower.master for follower in self.followers}
+        moving |= {follower.joint.name: follower.master for follower in self.mimic_joints}
         for joint in self.tree.joints:
             if joint.name in moving:
                 carries[moving[joint.name], self.subtree(joint.child)] = True
@@ -418,7 +418,7 @@ class Robot:
         if self._velocity_rows == [*range(rows.shape[-2])]:
             return rows
         joint_rows = rows[..., self._velocity_rows, :]
-        for follower in self.followers:
+        for follower in self.mimic_joints:
             joint_rows[..., follower.master, :] += follower.factor * rows[..., follower.joint.v, :]
         return joint_rows
 

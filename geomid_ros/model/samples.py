@@ -94,7 +94,7 @@ class Samples:
         """State of the motion ``(N, S)``: that of the joints, and of a base except its position and heading."""
         states = [self.position, self.velocity, self.acceleration]
         if self.base_pose.shape[1]:
-            up = se3.turned_back(self.base_pose[:, 3:], np.array([0.0, 0.0, 1.0]))
+            up = se3.rotate_inverse(self.base_pose[:, 3:], np.array([0.0, 0.0, 1.0]))
             states += [up, self.base_velocity, self.base_acceleration]
         return np.concatenate(states, axis=1)
 

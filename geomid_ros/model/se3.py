@@ -45,7 +45,7 @@ def rotations(vectors: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
-def turned_back(quaternions: FloatArray, vector: FloatArray) -> FloatArray:
+def rotate_inverse(quaternions: FloatArray, vector: FloatArray) -> FloatArray:
     """Rotate a ``vector (3,)`` by the inverses of quaternions ``(N, 4)``, xyzw: into the rotated axes, ``(N, 3)``."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 of floating bases alone
 

@@ -9,7 +9,7 @@ from itertools import chain, takewhile
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 

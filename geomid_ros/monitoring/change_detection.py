@@ -26,8 +26,8 @@ from geomid_ros.estimation.identifier import LONGEST_STEP
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.measurement import MeasurementModel, Rows
-from geomid_ros.monitoring.payload_watch import REMEMBERED, Noise, PayloadWatch
+from geomid_ros.model.measurement_model import MeasurementModel, Rows
+from geomid_ros.monitoring.payload_watch import REMEMBERED, ChannelNoise, PayloadWatch
 from geomid_ros.signals.settings import MOST_WAITING_BYTES
 from geomid_ros.types import FloatArray, IntArray
 
@@ -130,7 +130,7 @@ class ChangeDetector:
         noise = [channel.noise for channel in self._channels]
         if self.payload.update(*part, noise, retained):
             self._disturbed = True
-            began = part.first if self.payload.payload is None else self.payload.payload.first
+            began = part.first if self.payload.payload is None else self.payload.payload.first_sample
             for channel in self._channels:
                 channel.clear_suspicion(began - LATE)
 
@@ -148,7 +148,7 @@ class ChangeDetector:
         """Stamps [ns] and sample indices since which gaps are open or a payload is carried."""
         changes = [(gap.since, gap.first_sample) for gap in self.gaps if gap.since is not None]
         carried = None if self.payload is None else self.payload.payload
-        return changes if carried is None else [*changes, (carried.since, carried.first)]
+        return changes if carried is None else [*changes, (carried.since, carried.first_sample)]
 
     def unchanged_before(self, channels: Sequence[int]) -> int:
         """Return the index of the sample before which these channels are known to be unchanged.
@@ -226,10 +226,10 @@ class _Cusum:
         return self._first if self._open or self._evidence > 0.0 else None
 
     @property
-    def noise(self) -> Noise:
+    def noise(self) -> ChannelNoise:
         """Noise floor as noise of independent rows."""
         level, shape = self._normal if self.ready else _Normal(0.0, 0.0)
-        return Noise(level, 2.0 * shape / BLOCK) if level > 0.0 else Noise()
+        return ChannelNoise(level, 2.0 * shape / BLOCK) if level > 0.0 else ChannelNoise()
 
     def clear_suspicion(self, began: int) -> None:
         """Close a gap that opened at sample ``began`` or later, and forget suspect rows: something else explains

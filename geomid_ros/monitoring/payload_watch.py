@@ -29,7 +29,7 @@ from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import ONE_BODY, Point
 from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.measurement import Rows
+from geomid_ros.model.measurement_model import Rows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 REMEMBERED = 20
@@ -38,7 +38,7 @@ _LACKING = 0.1  # remainder of the model under loads, as a fraction of the paylo
 _SOON = 2  # blocks that show a large change; a small one needs the whole window
 
 
-class Noise(NamedTuple):
+class ChannelNoise(NamedTuple):
     """Noise of a channel: its variance, and the number of independent rows per row; 0 while unknown."""
 
     variance: float = 1.0
@@ -50,7 +50,7 @@ class CarriedPayload:
     """Payload of a ``link``, in the link's frame.
 
     ``parameters (10,)`` and their ``covariance``; ``columns``: of the link in the model; ``since``: stamp [ns] since
-    which it is carried, and ``first``: index of the sample at that stamp.
+    which it is carried, and ``first_sample``: index of the sample at that stamp.
     """
 
     link: str
@@ -58,7 +58,7 @@ class CarriedPayload:
     parameters: FloatArray
     covariance: FloatArray
     since: int
-    first: int
+    first_sample: int
 
     @property
     def mass(self) -> float:
@@ -202,12 +202,12 @@ class PayloadWatch:
         self._surprise = threshold
         self._recent: deque[tuple[_Block, FloatArray | None]] = deque()  # with the payload that was known before
         self._loaded: _Block | None = None  # sum since the payload is carried
-        self._noise: Sequence[Noise] = ()
+        self._noise: Sequence[ChannelNoise] = ()
         self._share = 1.0  # weight that rows learned so far keep after newer rows without a payload
         self.payload: CarriedPayload | None = None
         """Present payload; None if there is none."""
 
-    def update(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[Noise], retained: float) -> bool:
+    def update(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[ChannelNoise], retained: float) -> bool:
         """Take a block of rows. Return True if a payload was picked up or put down in it.
 
         Args:

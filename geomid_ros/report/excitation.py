@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
-from geomid_ros.excitation.knowledge import ExpectedUncertainty
+from geomid_ros.excitation.belief import ExpectedUncertainty
 from geomid_ros.files.disk import make_folder, write_json
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.schema import FORMAT, attributes_entry
@@ -44,7 +44,7 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
     """Limits, margins, clearances and expected results of a motion, for programs."""
     feasibility, margins, limits = found.task.feasibility, found.margins, found.task.feasibility.limits
     kinds = ("velocity", "acceleration", "jerk", "effort")
-    posterior, learning = found.task.knowledge.posterior, found.learning
+    posterior, learning = found.task.belief.posterior, found.learning
     pairs = feasibility.collision.pairs if feasibility.collision else ()
     stages = {name: getattr(learning, name) for name in ("before", "designed", "random", "twice", "random_twice")}
     return {
@@ -59,7 +59,7 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
             attributes_entry(pair, "first", "second") | {"at_least": float(distance), "clearance": float(clearance)}
             for pair, distance, clearance in zip(pairs, margins.distance, feasibility.clearances, strict=True)
         ],
-        "not_watched": [[pair.first, pair.second] for pair in found.task.not_watched],
+        "not_watched": [[pair.first, pair.second] for pair in found.task.excluded_pairs],
         "expected": {
             name: {
                 "error": stage.error,
@@ -79,7 +79,7 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
 def _effects(design: Excitation, stage: ExpectedUncertainty) -> list[dict[str, Any]]:
     return [
         attributes_entry(effect, "name", "place", "parameter") | {"std": float(std)}
-        for effect, std in zip(design.task.knowledge.posterior.effects, stage.effects, strict=True)
+        for effect, std in zip(design.task.belief.posterior.effects, stage.effects, strict=True)
     ]
 
 
@@ -89,7 +89,7 @@ def motion_figure(found: Excitation) -> Figure:
     names, limits = feasibility.names, feasibility.limits
     figure = new_figure(12.0, 1.5 * len(names) + 1.0)
     axes = figure.subplots(len(names), 2, sharex=True, squeeze=False)
-    efforts = found.task.knowledge.efforts(found.motion.at(trajectory.times)[:3])
+    efforts = found.task.belief.efforts(found.motion.at(trajectory.times)[:3])
     for index, (name, (left, right)) in enumerate(zip(names, axes, strict=True)):
         left.plot(trajectory.times, trajectory.positions[:, index], color=INK, lw=1.2)
         left.set_ylabel(name, fontsize=8, parse_math=False)
@@ -118,7 +118,7 @@ def write_motion_page(path: Path, found: Excitation) -> None:
     ends = np.clip(feasibility.limits.position, -np.pi, np.pi)
     positions = found.trajectory.positions
     content = {
-        "robot": found.task.knowledge.model.robot.name,
+        "robot": found.task.belief.model.robot.name,
         "found": found,
         "joints": list(zip(feasibility.names, positions.min(axis=0), positions.max(axis=0), shares, strict=True)),
         "motion": {
@@ -134,7 +134,7 @@ def write_motion_page(path: Path, found: Excitation) -> None:
 
 def _scene(design: Excitation) -> dict[str, Any]:
     """Drawing data: corners of bodies in their frames, and the pose of each frame over one period."""
-    robot, collision = design.task.knowledge.model.robot, design.task.feasibility.collision
+    robot, collision = design.task.belief.model.robot, design.task.feasibility.collision
     shapes = collision.shapes if collision is not None else {}
     links = [link for link in robot.tree.links if link in shapes or robot.is_divided_at(link)]
     times = np.arange(0.0, design.motion.form.period + 0.5 / _RATE, 1.0 / _RATE)

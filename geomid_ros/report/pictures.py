@@ -28,13 +28,13 @@ from geomid_ros.report.colours import FRAME, GRID, IDENTIFIED, INK, URDF
 from geomid_ros.report.ellipsoids import outline
 from geomid_ros.types import FloatArray, IntArray
 
-Place: TypeAlias = tuple[float, float, float, float]
+AxesRectangle: TypeAlias = tuple[float, float, float, float]
 """Left, top, width, height [inch]."""
 
 DPI = 150
 SIZE = (17.0, 10.0)  # [inch]
-ROBOT: Place = (0.25, 0.95, 9.25, 8.35)
-CHANNELS: Place = (10.15, 1.30, 6.60, 8.00)
+ROBOT: AxesRectangle = (0.25, 0.95, 9.25, 8.35)
+CHANNELS: AxesRectangle = (10.15, 1.30, 6.60, 8.00)
 
 _COMPRESSION = 3  # PNG level; 6 takes half as long again for files a tenth smaller
 
@@ -53,7 +53,7 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
     return figure
 
 
-def add_axes(figure: Figure, place: Place, share: Axes | None = None) -> Axes:
+def add_axes(figure: Figure, place: AxesRectangle, share: Axes | None = None) -> Axes:
     """Add axes at a place; they ``share`` the x axis of others."""
     left, top, width, height = place
     rectangle = (left / SIZE[0], 1.0 - (top + height) / SIZE[1], width / SIZE[0], height / SIZE[1])
@@ -62,7 +62,7 @@ def add_axes(figure: Figure, place: Place, share: Axes | None = None) -> Axes:
     return axes
 
 
-def add_area(figure: Figure, place: Place) -> Axes:
+def add_area(figure: Figure, place: AxesRectangle) -> Axes:
     """Add axes without a frame whose coordinates are inches from the top left corner."""
     axes = add_axes(figure, place)
     axes.set_axis_off()

@@ -32,7 +32,7 @@ from geomid_ros.report.ellipsoids import (
 )
 from geomid_ros.report.page import NONE
 from geomid_ros.report.page import number as written
-from geomid_ros.report.pictures import ROBOT, Place, add_area, add_axes, add_text, shortened
+from geomid_ros.report.pictures import ROBOT, AxesRectangle, add_area, add_axes, add_text, shortened
 from geomid_ros.types import FloatArray
 
 Color: TypeAlias = tuple[float, float, float]
@@ -73,7 +73,7 @@ def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
     _draw_key(figure, key)
 
 
-def _layout(extent: FloatArray, links: int) -> tuple[Place, Place, Place]:
+def _layout(extent: FloatArray, links: int) -> tuple[AxesRectangle, AxesRectangle, AxesRectangle]:
     """Places of robot, table and key. The table is beside or below, whichever gives the larger robot.
 
     ``extent (2,)``: of the robot on the picture [m].
@@ -92,12 +92,12 @@ def _layout(extent: FloatArray, links: int) -> tuple[Place, Place, Place]:
     return beside, (column, top, _TABLE_WIDTH, table_height), key
 
 
-def _scale(place: Place, extent: FloatArray) -> float:
+def _scale(place: AxesRectangle, extent: FloatArray) -> float:
     """Inches per metre if ``extent (2,)`` [m] fills the place except for a margin; negative without room."""
     return float(np.min((np.array(place[2:]) - 0.4) / np.maximum(extent, 1e-3)))
 
 
-def _robot_axes(figure: Figure, place: Place, low: FloatArray, high: FloatArray) -> tuple[Axes, float]:
+def _robot_axes(figure: Figure, place: AxesRectangle, low: FloatArray, high: FloatArray) -> tuple[Axes, float]:
     """Axes in metres with equal scales around corners ``(2,)`` [m]; and the metres per inch."""
     axes = add_axes(figure, place)
     axes.set_axis_off()
@@ -243,7 +243,7 @@ def _draw_row(area: Axes, y: float, number: int, body: BodyDrawing) -> None:
     add_text(area, _TABLE_WIDTH, y, percent, 9.5, ha="right")
 
 
-def _draw_key(figure: Figure, place: Place) -> None:
+def _draw_key(figure: Figure, place: AxesRectangle) -> None:
     """Draw the legend of the ellipsoids and the colour bar."""
     area = add_area(figure, place)
     add_text(area, 0.0, 0.06, "Ellipsoids: uniform bodies of the same mass and inertia", 9.0, FAINT)

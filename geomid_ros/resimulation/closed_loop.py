@@ -8,21 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.files.models.written_model import ModelFiles
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.resimulate import (
-    Noise,
     NotSimulatedError,
+    ResidualNoise,
     Resimulated,
     SimulatedEfforts,
-    Stretch,
+    UniformSegment,
     Windows,
     WindowSimulation,
     in_units,
     interpolated,
     motion_at,
     root_mean_square,
-    stretches,
+    uniform_segments,
 )
 from geomid_ros.resimulation.written_robot import FLOATING_BASE_REASON, WrittenRobot, loaded_robots
 from geomid_ros.signals.kernels import filtered
@@ -53,33 +53,33 @@ class Tracking:
 
 @dataclass(frozen=True, eq=False)
 class FittedController:
-    """Proportional gain, derivative gain and constant effort of each joint ``(J,)``. ``found`` is True if these explain
-    its measured efforts."""
+    """Proportional gain, derivative gain and constant effort of each joint ``(J,)``. ``explains_efforts`` is True if
+    these explain its measured efforts."""
 
     stiffness: FloatArray
     damping: FloatArray
     constant: FloatArray
-    found: BoolArray
+    explains_efforts: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
 class _Commanded:
     """Stretch with its set-points and feed-forward efforts, each ``(N, J)``."""
 
-    stretch: Stretch
+    stretch: UniformSegment
     position: FloatArray
     velocity: FloatArray
     feedforward: FloatArray
 
 
-def closed_loop(
+def resimulate_closed_loop(
     model: MeasurementModel,
     before: ModelFiles,
     after: ModelFiles,
     recordings: Sequence[Samples],
     commands: Sequence[Samples],
     *,
-    noise: Noise,
+    noise: ResidualNoise,
     cutoff: float,
 ) -> Resimulated:
     """Simulate recordings under their commands.
@@ -106,7 +106,7 @@ def closed_loop(
     joints = model.robot.joint_names
     traces = [_simulated(part, controller, *robots) for part in parts]
     floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
-    evaluated = controller.found & (floor > 0.0)
+    evaluated = controller.explains_efforts & (floor > 0.0)
 
     def ratios(kind: str) -> dict[str, float]:
         errors = [trace.measured - getattr(trace, kind) for trace in traces]
@@ -124,7 +124,7 @@ def tracking(
     Args:
         model: Model of the robot.
         files: Files of the written model.
-        recordings, commands: As for :func:`closed_loop`.
+        recordings, commands: As for :func:`resimulate_closed_loop`.
     """
     try:
         parts, (robot,), controller = _prepared(model, (files,), recordings, commands)
@@ -132,7 +132,7 @@ def tracking(
         return Tracking({}, str(reason))
     errors = [_simulated_motion(part, controller, robot)[0] - part.stretch.samples.position for part in parts]
     rms = root_mean_square(errors)
-    pairs = zip(model.robot.joint_names, rms.tolist(), controller.found, strict=True)
+    pairs = zip(model.robot.joint_names, rms.tolist(), controller.explains_efforts, strict=True)
     return Tracking({name: value for name, value, explained in pairs if explained})
 
 
@@ -151,7 +151,7 @@ def _prepared(
     efforts = np.concatenate([part.stretch.samples.effort for part in parts])
     robots = loaded_robots(files, model.robot.joint_names, efforts)
     controller = fitted_controller(parts, robots[-1])
-    if not np.any(controller.found):
+    if not np.any(controller.explains_efforts):
         raise NotSimulatedError(
             "the measured efforts cannot be reproduced from the commands with gains and feed-forward"
         )
@@ -162,7 +162,7 @@ def _commanded(recording: Samples, commands: Samples) -> list[_Commanded]:
     _, in_recording, in_commands = np.intersect1d(recording.stamps, commands.stamps, return_indices=True)
     measured, commanded = recording.select(in_recording), commands.select(in_commands)
     result = []
-    for stretch in stretches([measured]):
+    for stretch in uniform_segments([measured]):
         first = int(np.searchsorted(commanded.stamps, stretch.samples.stamps[0]))
         part = commanded.select(slice(first, first + len(stretch.times)))
         result.append(_Commanded(stretch, part.position, part.velocity, np.nan_to_num(part.effort)))
@@ -206,7 +206,7 @@ def _neighbours(columns: FloatArray, period: float) -> FloatArray:
     return np.asarray(columns[np.clip(indices, 0, len(columns) - 1)].reshape(len(columns), -1))
 
 
-def _undelayed_efforts(stretch: Stretch, robot: WrittenRobot) -> FloatArray:
+def _undelayed_efforts(stretch: UniformSegment, robot: WrittenRobot) -> FloatArray:
     """Measured efforts without their delay ``(N, J)``."""
     effort = stretch.samples.effort
     shifted = interpolated(stretch.times, effort, stretch.times + robot.delay)
@@ -231,10 +231,10 @@ def _simulated_motion(
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate positions and velocities ``(N, J)`` under the commands, from the measured initial state."""
     samples = part.stretch.samples
-    simulation = WindowSimulation(robot, Windows.whole(part.stretch))
+    simulation = WindowSimulation(robot, Windows.one_window(part.stretch))
     driving = _driving(part, controller, robot, simulation)
-    with robot.in_closed_loop(controller.stiffness, controller.damping, controller.found):
-        simulated = simulation.run(driving=driving)
+    with robot.in_closed_loop(controller.stiffness, controller.damping, controller.explains_efforts):
+        simulated = simulation.run(driving_efforts=driving)
     position, velocity = simulated.position[0], simulated.velocity[0]
     return np.vstack([samples.position[:1], position]), np.vstack([samples.velocity[:1], velocity])
 
@@ -261,4 +261,4 @@ def _driving(
     effort, feedforward = (interpolated(times, values, middles) for values in (commanded, part.feedforward))
     motion = motion_at(part.stretch, middles)
     controlled = feedforward + controller.constant + setpoints - robot.sidecar_friction(effort, motion)
-    return np.where(controller.found, controlled, robot.prescribed_effort(motion.acceleration))
+    return np.where(controller.explains_efforts, controlled, robot.prescribed_effort(motion.acceleration))

@@ -14,7 +14,7 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF as GAP_CUTOFF
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Motion
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.written_robot import FLOATING_BASE_REASON, WrittenRobot, loaded_robots
 from geomid_ros.signals.kernels import filtered
@@ -30,22 +30,22 @@ _MOST_STEPS = 30_000  # of all windows of a stretch together; beyond, only evenl
 class Windows:
     """Windows of one stretch, each of ``intervals`` sampling periods; ``starts (W,)`` index its samples."""
 
-    stretch: Stretch
+    segment: UniformSegment
     starts: IntArray
     intervals: int
 
     @staticmethod
-    def of(stretch: Stretch, step: float) -> Windows:
+    def of(segment: UniformSegment, step: float) -> Windows:
         """Choose the windows to simulate in steps of ``step`` [s]."""
-        intervals = max(1, round(HORIZON / stretch.period))
-        starts = np.arange(0, len(stretch.times) - intervals, intervals)
-        affordable = max(1, int(_MOST_STEPS * step / (intervals * stretch.period)))
-        return Windows(stretch, starts[:: max(1, -(-len(starts) // affordable))], intervals)
+        intervals = max(1, round(HORIZON / segment.period))
+        starts = np.arange(0, len(segment.times) - intervals, intervals)
+        affordable = max(1, int(_MOST_STEPS * step / (intervals * segment.period)))
+        return Windows(segment, starts[:: max(1, -(-len(starts) // affordable))], intervals)
 
     @staticmethod
-    def whole(stretch: Stretch) -> Windows:
+    def one_window(segment: UniformSegment) -> Windows:
         """Return a whole stretch as one window."""
-        return Windows(stretch, np.zeros(1, dtype=np.int64), len(stretch.times) - 1)
+        return Windows(segment, np.zeros(1, dtype=np.int64), len(segment.times) - 1)
 
     @property
     def samples(self) -> IntArray:
@@ -54,13 +54,13 @@ class Windows:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulated:
+class WindowStates:
     """Result of simulated windows: the joints' ``position, velocity (W, intervals, J)`` at the samples, and the mean
-    sensor readings over each window, ``sensed (W, values)``."""
+    sensor readings over each window, ``mean_wrenches (W, values)``."""
 
     position: FloatArray
     velocity: FloatArray
-    sensed: FloatArray
+    mean_wrenches: FloatArray
 
 
 class WindowSimulation:
@@ -69,7 +69,7 @@ class WindowSimulation:
     def __init__(self, robot: WrittenRobot, windows: Windows) -> None:
         self._robot = robot
         self.windows = windows
-        period, times = windows.stretch.period, windows.stretch.times
+        period, times = windows.segment.period, windows.segment.times
         # Integration steps between two samples, none longer than the robot's step.
         self._substeps = max(1, int(np.ceil(period / robot.step - 1e-9)))
         self.step = period / self._substeps
@@ -78,16 +78,16 @@ class WindowSimulation:
         """Middles of the integration steps of each window ``(W, steps)`` [s]."""
 
     @cached_property
-    def driving(self) -> FloatArray:
+    def driving_efforts(self) -> FloatArray:
         """Measured efforts, converted to drive the joints in MuJoCo, in the middle of each step ``(W, steps, J)``."""
-        robot, samples, times = self._robot, self.windows.stretch.samples, self.windows.stretch.times
+        robot, samples, times = self._robot, self.windows.segment.samples, self.windows.segment.times
         true_effort = robot.true_effort(interpolated(times, samples.effort, self.instants + robot.delay))
-        return robot.driving_effort(true_effort, motion_at(self.windows.stretch, self.instants))
+        return robot.driving_effort(true_effort, motion_at(self.windows.segment, self.instants))
 
     @cached_property
     def _states(self) -> tuple[FloatArray, FloatArray]:
         """MuJoCo's positions and velocities at the windows' starts, each ``(W, nv)``."""
-        robot, stretch, starts = self._robot, self.windows.stretch, self.windows.starts
+        robot, stretch, starts = self._robot, self.windows.segment, self.windows.starts
         position, velocity = np.zeros((2, len(starts), robot.model.nv))
         samples = stretch.samples.select(starts)
         position[:, robot.dofs], velocity[:, robot.dofs] = samples.position, samples.velocity
@@ -97,16 +97,17 @@ class WindowSimulation:
             position[:, gears], velocity[:, gears] = deflection[starts], rate[starts]
         return position, velocity
 
-    def run(self, disturbance: FloatArray | float = 0.0, driving: FloatArray | None = None) -> Simulated:
-        """Simulate under the measured efforts, or ``driving (W, steps, J)``, plus a disturbance of that shape."""
-        efforts = (self.driving if driving is None else driving) + disturbance
+    def run(self, disturbance: FloatArray | float = 0.0, driving_efforts: FloatArray | None = None) -> WindowStates:
+        """Simulate under the measured efforts, or ``driving_efforts (W, steps, J)``, plus a disturbance of that
+        shape."""
+        efforts = (self.driving_efforts if driving_efforts is None else driving_efforts) + disturbance
         position, velocity, sensed = self._robot.rollout(*self._states, efforts, self.step)
         at_samples = slice(self._substeps - 1, None, self._substeps)
-        return Simulated(position[:, at_samples], velocity[:, at_samples], sensed.mean(axis=1))
+        return WindowStates(position[:, at_samples], velocity[:, at_samples], sensed.mean(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class UniformSegment:
     """Samples at equal distances of ``period`` [s]; ``times (N,)`` [s] count from the first of them."""
 
     samples: Samples
@@ -114,13 +115,13 @@ class Stretch:
     period: float
 
 
-def stretches(recordings: Iterable[Samples]) -> list[Stretch]:
+def uniform_segments(recordings: Iterable[Samples]) -> list[UniformSegment]:
     """Parts of recordings without a pause that are at least as long as two windows."""
-    result: list[Stretch] = []
+    result: list[UniformSegment] = []
     for samples in recordings:
         period = 1e-9 * float(np.median(np.diff(samples.stamps))) if len(samples) > 1 else 0.0
         result += [
-            Stretch(part, 1e-9 * (part.stamps - part.stamps[0]), period)
+            UniformSegment(part, 1e-9 * (part.stamps - part.stamps[0]), period)
             for part in samples.segments()
             if len(part) * period >= 2.0 * HORIZON
         ]
@@ -138,30 +139,30 @@ def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> Float
     return np.asarray(spline(at))
 
 
-def motion_at(stretch: Stretch, instants: FloatArray) -> Motion:
+def motion_at(segment: UniformSegment, instants: FloatArray) -> Motion:
     """Measured motion at ``instants (...)`` [s], ``(..., J)`` each."""
-    samples = stretch.samples
+    samples = segment.samples
     parts = (samples.position, samples.velocity, samples.acceleration)
-    return Motion(np.array([interpolated(stretch.times, part, instants) for part in parts]))
+    return Motion(np.array([interpolated(segment.times, part, instants) for part in parts]))
 
 
 _DRAWS = 4  # noise realisations per window
 
 
-class Errors:
+class WindowErrors:
     """Errors of windows: the joints' velocities at the windows' ends, then the means of the wrench channels.
 
     ``names`` are the channels of ``model``; arrays ``(W, channels)`` follow them.
     """
 
-    def __init__(self, model: MeasurementModel, noise: Noise) -> None:
+    def __init__(self, model: MeasurementModel, noise: ResidualNoise) -> None:
         self.names = [channel.name for channel in model.channels]
         self._joints = len(model.robot.joints)
         self._sensors = model.mounted
         self._all_sensors = model.sensors
         self._noise = noise.only(self.names)
 
-    def measured_wrenches(self, parts: Sequence[Stretch]) -> BoolArray:
+    def measured_wrenches(self, parts: Sequence[UniformSegment]) -> BoolArray:
         """True for each wrench channel that is measured throughout."""
         columns = [
             np.all([np.all(np.isfinite(self._measured(part, sensor)), axis=0) for part in parts], axis=0)
@@ -169,23 +170,23 @@ class Errors:
         ]
         return np.concatenate([np.zeros(0, dtype=bool), *columns])
 
-    def _measured(self, stretch: Stretch, sensor: WrenchSensor) -> FloatArray:
+    def _measured(self, stretch: UniformSegment, sensor: WrenchSensor) -> FloatArray:
         measured = stretch.samples.wrenches[:, self._all_sensors.index(sensor), sensor.axis_indices]
         return np.asarray(sensor.sign * measured)
 
-    def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: Simulated) -> FloatArray:
+    def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: WindowStates) -> FloatArray:
         """Measured minus simulated quantities ``(W, channels)``."""
-        velocity = windows.stretch.samples.velocity[windows.samples[:, -1]] - simulated.velocity[:, -1]
-        motion = Motion(motion_at(windows.stretch, instants).states.mean(axis=2))
+        velocity = windows.segment.samples.velocity[windows.samples[:, -1]] - simulated.velocity[:, -1]
+        motion = Motion(motion_at(windows.segment, instants).states.mean(axis=2))
         wrenches = [
-            interpolated(windows.stretch.times, self._measured(windows.stretch, sensor), instants).mean(axis=1)
-            - robot.wrench(simulated.sensed, sensor)[:, sensor.axis_indices]
+            interpolated(windows.segment.times, self._measured(windows.segment, sensor), instants).mean(axis=1)
+            - robot.wrench(simulated.mean_wrenches, sensor)[:, sensor.axis_indices]
             - robot.wrench_error(motion, sensor)
             for sensor in self._sensors
         ]
         return np.hstack([velocity, *wrenches])
 
-    def of_noise(self, simulation: WindowSimulation, robot: WrittenRobot, undisturbed: Simulated) -> FloatArray:
+    def of_noise(self, simulation: WindowSimulation, robot: WrittenRobot, undisturbed: WindowStates) -> FloatArray:
         """Changes due to noise in the efforts and wrenches ``(draws W, channels)``."""
         random = np.random.default_rng(0)
         changes: list[FloatArray] = []
@@ -193,7 +194,7 @@ class Errors:
             noise = self._noise.at(simulation.instants, random.uniform(0.0, self._noise.duration))
             disturbed = simulation.run(noise[..., : self._joints] / robot.gain)
             velocity = disturbed.velocity[:, -1] - undisturbed.velocity[:, -1]
-            change = disturbed.sensed - undisturbed.sensed
+            change = disturbed.mean_wrenches - undisturbed.mean_wrenches
             wrenches = [robot.wrench(change, sensor)[:, sensor.axis_indices] for sensor in self._sensors]
             changes.append(np.hstack([velocity, *wrenches]))
             changes[-1][:, self._joints :] -= noise[..., self._joints :].mean(axis=1)
@@ -207,7 +208,7 @@ def root_mean_square(parts: Sequence[FloatArray]) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class ResidualNoise:
     """Example of the noise in every channel: ``values (M, channels)`` [N m, N] every ``period`` [s], NaN where a
     channel is not measured."""
 
@@ -216,7 +217,7 @@ class Noise:
     values: FloatArray
 
     @staticmethod
-    def of(result: GapResult) -> Noise:
+    def of(result: GapResult) -> ResidualNoise:
         """Scale the final model's remainder on held-out data to the noise floor. The noise then has the floor's size,
         and the colour and the correlation between channels of the remainder."""
         remainder = result.trace.measured - result.trace.after
@@ -224,7 +225,7 @@ class Noise:
         size = np.sqrt(np.nansum(remainder**2, axis=0) / np.maximum(counts, 1))
         scale = np.divide(result.floor, size, out=np.full(len(size), np.nan), where=size > 0.0)
         period = 1e-9 * float(np.median(np.diff(result.trace.stamps)))
-        return Noise(result.channels, period, scale * remainder)
+        return ResidualNoise(result.channels, period, scale * remainder)
 
     @property
     def duration(self) -> float:
@@ -239,11 +240,11 @@ class Noise:
         count = len(self.values)
         return (1.0 - fraction) * self.values[first % count] + fraction * self.values[(first + 1) % count]
 
-    def only(self, names: Sequence[str]) -> Noise:
+    def only(self, names: Sequence[str]) -> ResidualNoise:
         """Noise of these channels; zero for unknown channels."""
         zeros = np.zeros(len(self.values))
         columns = [self.values[:, self.channels.index(name)] if name in self.channels else zeros for name in names]
-        return Noise(tuple(names), self.period, np.nan_to_num(np.stack(columns, axis=1)))
+        return ResidualNoise(tuple(names), self.period, np.nan_to_num(np.stack(columns, axis=1)))
 
 
 CUTOFF = 32.0
@@ -294,9 +295,9 @@ class Resimulated:
 
 
 def resimulate(
-    model: MeasurementModel, before: ModelFiles, after: ModelFiles, recordings: Sequence[Samples], noise: Noise
+    model: MeasurementModel, before: ModelFiles, after: ModelFiles, recordings: Sequence[Samples], noise: ResidualNoise
 ) -> Resimulated:
-    """Simulate ``recordings`` in windows of :data:`~geomid_ros.resimulation.resimulate.HORIZON`.
+    """Simulate ``recordings`` in windows of :data:`~geomid_ros.resimulation.resimulate.LONGEST_TOPIC_LAG`.
 
     Each starts from the measured position and velocity and runs under the measured efforts, corrected by the sidecar's
     sensor effects. A joint whose effort is not measured, or that does not move, follows its measured motion and is not
@@ -309,12 +310,12 @@ def resimulate(
     """
     if reason := _why_not(model, recordings):
         raise NotSimulatedError(reason)
-    parts = stretches(recordings)
+    parts = uniform_segments(recordings)
     efforts, evaluated = np.concatenate([part.samples.effort for part in parts]), _evaluated_joints(parts)
     robots = loaded_robots((before, after), model.robot.joint_names, efforts)
     for robot in robots:
         robot.prescribe(~evaluated)
-    errors = Errors(model, noise)
+    errors = WindowErrors(model, noise)
     runs = [_simulated(part, errors, *robots) for part in parts]
     floor = root_mean_square([run.noise for run in runs])
     usable = np.concatenate([evaluated, errors.measured_wrenches(parts)]) & (floor > 0.0)
@@ -341,7 +342,7 @@ class _Run:
     noise: FloatArray
 
 
-def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: WrittenRobot) -> _Run:
+def _simulated(stretch: UniformSegment, errors: WindowErrors, before: WrittenRobot, after: WrittenRobot) -> _Run:
     windows = Windows.of(stretch, min(before.step, after.step))
     simulation_before, simulation_after = WindowSimulation(before, windows), WindowSimulation(after, windows)
     run_after = simulation_after.run()
@@ -357,14 +358,14 @@ def _why_not(model: MeasurementModel, recordings: Sequence[Samples]) -> str:
         return FLOATING_BASE_REASON
     if any(sensor.role == "external" for sensor in model.sensors):
         return "external loads act on the robot, which the written models do not contain"
-    if not stretches(recordings):
+    if not uniform_segments(recordings):
         return "the recording is too short"
-    if not np.any(_evaluated_joints(stretches(recordings))):
+    if not np.any(_evaluated_joints(uniform_segments(recordings))):
         return "no joint moves and has a measured effort"
     return ""
 
 
-def _evaluated_joints(parts: Sequence[Stretch]) -> BoolArray:
+def _evaluated_joints(parts: Sequence[UniformSegment]) -> BoolArray:
     """True for each joint that moves and has a measured effort ``(J,)``: its motion can be simulated."""
     measured = np.all([np.all(np.isfinite(part.samples.effort), axis=0) for part in parts], axis=0)
     moves = np.max([np.ptp(part.samples.position, axis=0) for part in parts], axis=0) > _STILL

@@ -83,7 +83,7 @@ _MASS = QUANTITIES[0]
 _MOST_NAMES = 8
 
 
-class News:
+class StatusEvents:
     """Compares the present status with that of a second ago."""
 
     def __init__(self) -> None:

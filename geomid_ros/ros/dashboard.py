@@ -17,7 +17,7 @@ from rclpy.node import Node
 from geomid_ros.errors import InputError
 from geomid_ros.live.dashboard_state import Diagnosis, state_of
 from geomid_ros.live.threads import end_with_parent, start_daemon
-from geomid_ros.ros.starting import PAUSE, running_node
+from geomid_ros.ros.startup import PAUSE, running_node
 
 if TYPE_CHECKING:
     from geomid_ros.live.dashboard_server import Board

@@ -88,8 +88,8 @@ class Diagnostics:
         array = DiagnosticArray(status=[status_message(f"{self._node}: stream", level, message, _stream(status))])
         if search is not None:
             array.status.append(_search(f"{self._node}: gap finding", search))
-        if status.carried is not None:
-            array.status.append(_payload(f"{self._node}: payload", status.carried))
+        if status.payload is not None:
+            array.status.append(_payload(f"{self._node}: payload", status.payload))
         if checkpoints is not None:
             array.status.append(_checkpoints(f"{self._node}: checkpoints", checkpoints))
         if status.estimate is not None:

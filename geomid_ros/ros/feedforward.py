@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import threading
 
-from geomid_ros.ros.main import on_signal, started
+from geomid_ros.ros.main import on_signal, run_program
 
 
 def main() -> None:
     """Run the relay until SIGINT or SIGTERM; exit status 0, or 2 with one message if it cannot start."""
-    started("geomid_feedforward", _run)
+    run_program("geomid_feedforward", _run)
 
 
 def _run() -> None:
     import rclpy  # noqa: PLC0415
 
     from geomid_ros.ros.relay import FeedforwardRelay  # noqa: PLC0415
-    from geomid_ros.ros.starting import PAUSE, running_node  # noqa: PLC0415
+    from geomid_ros.ros.startup import PAUSE, running_node  # noqa: PLC0415
 
     stopping = threading.Event()
     on_signal(stopping.set)

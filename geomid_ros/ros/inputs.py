@@ -55,7 +55,7 @@ def read_parameters(node: Node) -> Configuration:
     """
     given: dict[str, Any] = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
     configuration = Configuration(given, "parameters")
-    for name in configuration.given:
+    for name in configuration.given_values:
         node.set_descriptor(name, _descriptor(find_parameter(name)))
     for parameter in PARAMETERS:
         if parameter.name not in given and "*" not in parameter.name:
@@ -77,7 +77,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 def changed_names(before: Configuration, after: Configuration) -> list[str]:
     """Return the names that are given in ``after`` and whose values differ."""
-    return [name for name, value in after.given.items() if value != before[name]]
+    return [name for name, value in after.given_values.items() if value != before[name]]
 
 
 def depends_on_rows(name: str) -> bool:

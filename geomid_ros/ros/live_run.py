@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from geomid_ros.errors import GeomidError
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live.saving import FOLLOWS, NOT_YET, SLOW
-from geomid_ros.ros.starting import starting_ros
+from geomid_ros.ros.startup import starting_ros
 from geomid_ros.session.configuration import Configuration
 
 _PATIENCE = 60.0  # [s] for a service, and for its answer
@@ -39,7 +39,7 @@ class LiveRun:
         os.environ["ROS_DOMAIN_ID"] = str(102 + os.getpid() % 120)
         self._folder = tempfile.TemporaryDirectory(prefix="geomid-")
         parameters = Path(self._folder.name) / "parameters.yaml"
-        values = {**configuration.given, "robot_description": read_urdf(urdf), "output_folder": str(out)}
+        values = {**configuration.given_values, "robot_description": read_urdf(urdf), "output_folder": str(out)}
         parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
         node = [sys.executable, "-m", "geomid_ros.ros.main", "--ros-args", "--params-file", str(parameters)]
         playing = ["play", str(bag), "--rate", str(rate), "--config", str(parameters)]

@@ -32,10 +32,10 @@ def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit status 0, or 2 with one message if it cannot start."""
     # Instead of the default 5 ms, a solver in Python code may block the intake for this time only.
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    started("geomid_node", _run)
+    run_program("geomid_node", _run)
 
 
-def started(name: str, run: Callable[[], None]) -> None:
+def run_program(name: str, run: Callable[[], None]) -> None:
     """Run a program of this ``name``; an error at its start is one message, and exit status 2."""
     # End at once during imports, which take long; there are no data to lose yet.
     on_signal(lambda: os._exit(0))
@@ -75,7 +75,7 @@ def _run_node(solving: SolvingProcess) -> None:
     from rclpy.utilities import ok, try_shutdown  # noqa: PLC0415
 
     from geomid_ros.ros.node import GeomidNode  # noqa: PLC0415
-    from geomid_ros.ros.starting import PAUSE, starting_ros  # noqa: PLC0415
+    from geomid_ros.ros.startup import PAUSE, starting_ros  # noqa: PLC0415
 
     # rclpy's handlers would invalidate the publishers before the last estimate is published.
     stopping = threading.Event()

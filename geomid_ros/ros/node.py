@@ -25,13 +25,13 @@ from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
-from geomid_ros.ros.console import Console, News
+from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
 from geomid_ros.ros.inputs import Inputs, RosTypes, changed_names, depends_on_rows, read_parameters
 from geomid_ros.ros.managed import Managed
 from geomid_ros.ros.outputs import Outputs, latched
-from geomid_ros.ros.starting import starting_ros
+from geomid_ros.ros.startup import starting_ros
 from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.decoding import read_without_rosbags
@@ -67,7 +67,7 @@ class GeomidNode(Managed, Node):
         read_without_rosbags(RosTypes())
         self._configuration = read_parameters(self)
         self._console = Console(self.get_logger())
-        self._news = News()
+        self._news = StatusEvents()
         self._active: bool = self._configuration["active"]
         self._configured = self._subscribed = False
         lifecycle = self._configuration["lifecycle"]
@@ -78,8 +78,8 @@ class GeomidNode(Managed, Node):
         self._inputs = Inputs(self, self._ledger)
         self._streaming = Streaming(self, self._inputs, self._console.warning)
         self._outputs = Outputs(self, create, self._streaming)
-        self._search = BackgroundSearch("no finding", self._outputs.finding)
-        self._payload = PayloadSearch(self._outputs.payload)
+        self._search = BackgroundSearch("no finding", self._outputs.publish_gap)
+        self._payload = PayloadSearch(self._outputs.publish_identified_payload)
         self._dashboard: DashboardProcess | None = None
         self._urdf = ""  # latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
@@ -116,7 +116,7 @@ class GeomidNode(Managed, Node):
 
     def take_waiting(self) -> None:
         """Take the waiting data. All of them are counted, also after an error."""
-        messages = self._streaming.waiting()
+        messages = self._streaming.drain()
         try:
             reason = self._take(messages)
         except Exception as error:  # noqa: BLE001 the node must survive
@@ -181,7 +181,7 @@ class GeomidNode(Managed, Node):
         self._inputs.listen_as(self._configuration)
         self._subscribed = True
         if self._worker is not None and self._worker.estimate is not None:
-            self._outputs.publish(self._worker.session, self._worker.estimate)
+            self._outputs.publish_estimate(self._worker.session, self._worker.estimate)
 
     def deactivate(self) -> None:
         """Take the waiting data, and unsubscribe from data."""
@@ -224,7 +224,7 @@ class GeomidNode(Managed, Node):
 
     def _begin_with(self, configuration: Configuration, *, anew: bool) -> None:
         self._configuration = configuration
-        self._supervisor.use(configuration, rebuild=anew)
+        self._supervisor.reconfigure(configuration, rebuild=anew)
         if anew and self._configured:
             self.configure()
         if anew and self._subscribed:

@@ -59,7 +59,7 @@ class Outputs(Listener):
         self._link = ""  # that carried the last payload
         self._payloads = create(String, "~/payload", latched())
 
-    def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:
+    def on_samples(self, session: Session, samples: Samples, estimate: Estimate) -> None:
         """Publish the efforts that an estimate predicts for samples, and their std, if there are subscribers."""
         if self._predictions.get_subscription_count() > 0:
             efforts = session.model.predicted_efforts(samples, estimate.parameters)
@@ -68,12 +68,12 @@ class Outputs(Listener):
             deviations = effort_deviations(session.model, samples, estimate)
             _publish_efforts(self._deviations, session.robot, samples, deviations)
 
-    def estimate(self, session: Session, estimate: Estimate) -> None:
+    def on_estimate(self, session: Session, estimate: Estimate) -> None:
         """Publish an estimate, and predict with it."""
-        self._streaming.use(session, estimate)
-        self.publish(session, estimate)
+        self._streaming.set_model(session, estimate)
+        self.publish_estimate(session, estimate)
 
-    def publish(self, session: Session, estimate: Estimate) -> None:
+    def publish_estimate(self, session: Session, estimate: Estimate) -> None:
         """Publish an estimate."""
         stamp = self._node.get_clock().now().nanoseconds
         for link in estimate.links:
@@ -82,21 +82,21 @@ class Outputs(Listener):
         markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
         self._ellipsoids.publish(MarkerArray(markers=markers))
 
-    def finding(self, status: SearchStatus[FoundGap]) -> None:
+    def publish_gap(self, status: SearchStatus[FoundGap]) -> None:
         """Publish the result of a search for a gap."""
         self._findings.publish(String(data=json.dumps({"format": FORMAT, **status.document}, indent=2)))
         self._node.get_logger().info(status.sentence)
 
-    def carried(self, carried: CarriedPayload | None) -> None:
+    def on_payload(self, carried: CarriedPayload | None) -> None:
         """Publish the payload that was picked up, and predict with it; all zeros after it was put down."""
-        self._streaming.carry(carried)
+        self._streaming.set_payload(carried)
         self._link = carried.link if carried is not None else self._link
         stamp = self._node.get_clock().now().nanoseconds
         message = InertiaStamped() if carried is None else inertia_message(carried.link, carried.parameters, stamp)
         message.header.frame_id, message.header.stamp = self._link, ros_time(stamp)
         self._carried.publish(message)
 
-    def payload(self, status: SearchStatus[Payload]) -> None:
+    def publish_identified_payload(self, status: SearchStatus[Payload]) -> None:
         """Publish a payload that was identified, or the reason why it was not."""
         self._payloads.publish(String(data=json.dumps(status.document, indent=2)))
         self._node.get_logger().info(status.sentence)

@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.ros.starting import MATCHING, running_node
+from geomid_ros.ros.startup import MATCHING, running_node
 from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM
 
 _READ = (JOINT_STATES, ODOM, IMU, "robot_description", "/clock")  # read by geomid with any configuration

@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from geomid_ros.api.feedforward import fill_efforts, robot_to_move
 from geomid_ros.api.options import FillOptions
-from geomid_ros.control.correction import LASTING, Correction, Reading
+from geomid_ros.control.correction import LONGEST_FAULT, Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import GeomidError, InputError, one_line
 from geomid_ros.excitation.motion import Trajectory
@@ -38,7 +38,7 @@ from geomid_ros.types import FloatArray
 _GAP = "geomid/gap"  # of the identification node in the same namespace
 
 
-class Adapting:
+class AdaptationNode:
     """Answers every joint state on ``~/inertia`` and ``~/correction``; its status is in ``/diagnostics``."""
 
     def __init__(self, node: Node, session: Session, link: str, heaviest: float) -> None:
@@ -70,7 +70,7 @@ class Adapting:
         node.create_subscription(JointState, "joint_states", self._on_state, latest)
         self._gap = node.create_subscription(String, _GAP, self._on_gap, 10).topic_name
         node.create_service(Trigger, "~/reset", self._reset)
-        node.create_timer(LASTING / 4.0, self._send)
+        node.create_timer(LONGEST_FAULT / 4.0, self._send)
         node.create_timer(1.0, self._report)
         node.get_logger().info(f"link '{self._link}' adapts to a payload of at most {heaviest:g} kg")
 
@@ -85,7 +85,7 @@ class Adapting:
         self._session = session
         self._begin_anew()
         if reason:
-            self._correction.latch.close(reason)
+            self._correction.latch.switch_off(reason)
 
     def _begin_anew(self) -> None:
         before, self._correction = self._correction, self._new()
@@ -151,7 +151,7 @@ class Adapting:
             return
         others = [name for name in names if name not in EFFECTS or EFFECTS[name].place != "link"]
         if others:
-            self._correction.latch.close(one_line(f"{self._gap} found {others[0].replace('_', ' ')}"))
+            self._correction.latch.switch_off(one_line(f"{self._gap} found {others[0].replace('_', ' ')}"))
             self._report()
 
     def _report(self) -> None:
@@ -189,7 +189,7 @@ class FeedforwardRelay:
 
     Parameters of its node: ``model`` (an estimate.json, which is read again after a change), ``urdf``, ``config``,
     ``tolerance`` and ``force``, as of :func:`geomid_ros.feedforward`; ``controller``. Refused trajectories are not sent
-    on. With ``heaviest_payload`` [kg] a ``link`` adapts to a payload (:class:`~geomid_ros.ros.relay.Adapting`).
+    on. With ``heaviest_payload`` [kg] a ``link`` adapts to a payload (:class:`~geomid_ros.ros.relay.AdaptationNode`).
     """
 
     def __init__(self, node: Node) -> None:
@@ -218,7 +218,7 @@ class FeedforwardRelay:
         heaviest = float(node.declare_parameter("heaviest_payload", 0.0).value)
         if not 0.0 <= heaviest < math.inf:
             raise InputError(f"heaviest_payload is {heaviest:g}, expected a mass in kg, or 0 for no adaptation")
-        self._adapting = Adapting(node, self._session, link, heaviest) if heaviest else None
+        self._adapting = AdaptationNode(node, self._session, link, heaviest) if heaviest else None
         self._log.info(f"fills the efforts of {node.resolve_topic_name(_IN)} for {self._publisher.topic_name}")
 
     def _changed_at(self) -> int:

@@ -13,8 +13,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.live.effort_predictor import EffortPredictor, Predicted
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.stream import Predicted, Stream
 from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.session.session import Session
@@ -35,25 +35,25 @@ class Streaming:
         """
         self._inputs = inputs
         self._publisher = node.create_publisher(JointState, "~/streamed_joint_states", 1000)
-        self._stream = Stream()
+        self._stream = EffortPredictor()
         self._early: list[Received] = []
         self._warn = warn
         self._warned: set[str] = set()
 
-    def use(self, session: Session, estimate: Estimate) -> None:
+    def set_model(self, session: Session, estimate: Estimate) -> None:
         """Predict with an estimate from now on. May be called in any thread."""
-        self._stream.use(session, estimate)
+        self._stream.set_model(session, estimate)
 
-    def carry(self, carried: CarriedPayload | None) -> None:
+    def set_payload(self, carried: CarriedPayload | None) -> None:
         """Predict with this payload from now on, or with none. May be called in any thread."""
-        self._stream.carry(carried)
+        self._stream.set_payload(carried)
 
     def forget(self) -> None:
         """Predict nothing until the next estimate."""
         self._stream.forget()
         self._warned.clear()
 
-    def waiting(self) -> list[Received]:
+    def drain(self) -> list[Received]:
         """Return all messages that were not taken yet."""
         messages, self._early = [*self._early, *self._inputs.poll()], []
         return sorted(messages, key=attrgetter("time"))

@@ -16,7 +16,7 @@ from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.session.options import Surroundings, texts
 from geomid_ros.types import FloatArray
 
-NOT_LOOKED = "collisions are not looked for (--no-collision): watch the robot"
+COLLISIONS_NOT_CHECKED = "collisions are not looked for (--no-collision): watch the robot"
 _FORMS = "box:X,Y,Z,LENGTH,WIDTH,HEIGHT, plane:NX,NY,NZ,OFFSET or a mesh file, in metres in the base frame"
 _NEIGHBOURS = 2  # joints between links whose hulls may overlap all the time
 
@@ -45,7 +45,7 @@ def without_touching(collision: CollisionModel, start: FloatArray) -> tuple[Pair
     return tuple(dict.fromkeys(pairs))
 
 
-def not_watched(pairs: Sequence[Pair]) -> str:
+def excluded_pairs_note(pairs: Sequence[Pair]) -> str:
     """Sentence on the excluded pairs; empty if there are none."""
     listing = "; ".join(map(str, pairs))
     return f"not watched, as their convex hulls overlap at the start already: {listing}" if listing else ""

@@ -40,7 +40,7 @@ class Parameter:
         description: its effect, with its unit.
         minimum, maximum: the closed range of a number.
         choices: the values of a text; empty for any.
-        of_rows: True if rows depend on it: earlier rows remain valid only if all of these parameters are the same.
+        defines_rows: True if rows depend on it: earlier rows remain valid only if all of these parameters are the same.
         change: when it may change in a running node: never if it names files, as others may be on the network.
     """
 
@@ -50,7 +50,7 @@ class Parameter:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
-    of_rows: bool = True
+    defines_rows: bool = True
     change: str = "without rows"
 
 
@@ -61,7 +61,7 @@ _ALIKE = ("urdf", "none")
 # Prefixes of the parameters that ROS gives every node; they are not checked here.
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 _OF_SENSOR = ("topic", "frame", "frame_id", "role", "axes", "sign")  # each is wrench.*.KEY in the table
-_not_of_rows = partial(Parameter, of_rows=False)
+_not_of_rows = partial(Parameter, defines_rows=False)
 AT_START, AT_ANY_TIME = "at the start", "at any time"
 _at_start = partial(_not_of_rows, change=AT_START)
 _at_any_time = partial(_not_of_rows, change=AT_ANY_TIME)
@@ -216,7 +216,7 @@ class Configuration:
         return Configuration(values, self.source)
 
     @property
-    def given(self) -> dict[str, Value]:
+    def given_values(self) -> dict[str, Value]:
         """Values that were given, by full name."""
         return dict(self._values)
 
@@ -263,11 +263,11 @@ class Configuration:
         }
 
     @property
-    def of_rows(self) -> dict[str, Value]:
+    def row_parameters(self) -> dict[str, Value]:
         """Values, by full name, of parameters that define rows and their weights, without those of the model file."""
         single = {parameter.name for parameter in PARAMETERS if "*" not in parameter.name}
         names = sorted(single | self._values.keys())
-        return {name: self[name] for name in names if find_parameter(name).of_rows}
+        return {name: self[name] for name in names if find_parameter(name).defines_rows}
 
     @property
     def effects(self) -> list[IdentifiedEffect]:

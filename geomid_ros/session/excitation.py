@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.excitation.feasibility import Feasibility, Margins
-from geomid_ros.excitation.knowledge import (
+from geomid_ros.excitation.belief import (
     PREDICTION,
     Belief,
     DesignComparison,
+    aim_weight,
     belief_from_estimate,
     belief_from_urdf,
     error_description,
     expected_learning,
-    weight_of,
 )
+from geomid_ros.excitation.feasibility import Feasibility, Margins
 from geomid_ros.excitation.limits import MotionLimits, motion_limits, start_postures
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm, Trajectory
 from geomid_ros.excitation.rivals import (
@@ -43,8 +43,13 @@ from geomid_ros.gap.candidates import Candidate
 from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.effects import Effect, KnownEffect, OnLink, Place, effect_class, values_of
-from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.session.collision_scene import NOT_LOOKED, collision_model, not_watched, without_touching
+from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.session.collision_scene import (
+    COLLISIONS_NOT_CHECKED,
+    collision_model,
+    excluded_pairs_note,
+    without_touching,
+)
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import MotionOptions
 from geomid_ros.session.session import Session
@@ -64,21 +69,21 @@ class DesignTask:
 
     Attributes:
         feasibility: constraints on a motion.
-        knowledge: belief before the motion.
+        belief: belief before the motion.
         form: form of the motion.
-        not_watched: pairs of links whose distance is not checked.
+        excluded_pairs: pairs of links whose distance is not checked.
         notes: choices made for the user, in sentences.
     """
 
     feasibility: Feasibility
-    knowledge: Belief
+    belief: Belief
     form: MotionForm
-    not_watched: tuple[Pair, ...]
+    excluded_pairs: tuple[Pair, ...]
     notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Decision:
+class ExpectedDiscrimination:
     """Expected difference of the scores of an effect and its rival (-2 log p, in the worse case of which one is true),
     after the designed motion and after a ``random`` one."""
 
@@ -120,7 +125,7 @@ class Excitation:
     motion: ExcitingMotion
     margins: Margins
     learning: DesignComparison
-    decisions: tuple[Decision, ...] = ()
+    decisions: tuple[ExpectedDiscrimination, ...] = ()
 
     @property
     def closest(self) -> str:
@@ -146,14 +151,14 @@ class Excitation:
         return Trajectory(self.task.feasibility.names, times, *self.motion.at(times)[:3])
 
 
-def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionOptions) -> DesignTask:
+def design_task(urdf: str, source: Path, configuration: Configuration, options: MotionOptions) -> DesignTask:
     """Collect everything that a search needs.
 
     Args:
         urdf: text of the robot description.
         source: its file, from which meshes are searched.
         configuration: parameters; ``model`` is the earlier estimate.
-        wish: the user's request.
+        options: the user's request.
 
     Raises:
         InputError: something is missing, or no start is feasible.
@@ -166,20 +171,25 @@ def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionO
     robot, model = session.robot, _model_of(session)
     if robot.floating_base or not model.layout.efforts:
         raise InputError("motions are designed for arms on a fixed base whose joint efforts can be predicted")
-    given = read_joint_limits(Path(wish.limits), robot.joint_names) if wish.limits else {}
+    given = read_joint_limits(Path(options.limits), robot.joint_names) if options.limits else {}
     inertias = np.array([body.parameters for body in robot.bodies])
-    limits = motion_limits(robot, given, inertias, wish.speed, str(source))
+    limits = motion_limits(robot, given, inertias, options.speed, str(source))
     knowledge = _knowledge(session, model, limits)
-    collision = collision_model(wish, robot, source)
-    feasibility, unwatched = _feasibility(knowledge, limits, collision, wish)
-    notes = [*limits.notes, "" if collision else NOT_LOOKED, not_watched(unwatched), *robot.repaired.values()]
-    slow = _SLOW_SHARE.get(wish.aim, _SLOW_SHARE[PREDICTION])
-    form = MotionForm(period=wish.duration / wish.repeats, slow_fraction=slow, repeats=wish.repeats)
+    collision = collision_model(options, robot, source)
+    feasibility, unwatched = _feasibility(knowledge, limits, collision, options)
+    notes = [
+        *limits.notes,
+        "" if collision else COLLISIONS_NOT_CHECKED,
+        excluded_pairs_note(unwatched),
+        *robot.inertia_repairs.values(),
+    ]
+    slow = _SLOW_SHARE.get(options.aim, _SLOW_SHARE[PREDICTION])
+    form = MotionForm(period=options.duration / options.repeats, slow_fraction=slow, repeats=options.repeats)
     return DesignTask(
         feasibility=feasibility,
-        knowledge=knowledge,
+        belief=knowledge,
         form=form,
-        not_watched=unwatched,
+        excluded_pairs=unwatched,
         notes=tuple(filter(None, notes)),
     )
 
@@ -245,25 +255,27 @@ def _no_start(errors: Sequence[InputError], *, room: bool) -> str:
     return f"{reason}, or make room: --avoid is in metres in the base frame, each part of a mesh is its convex hull"
 
 
-def design(task: DesignTask, wish: MotionOptions) -> Excitation:
+def design(task: DesignTask, options: MotionOptions) -> Excitation:
     """Search for a motion, and predict its benefit."""
-    random, feasibility = np.random.default_rng(wish.seed), task.feasibility
-    discrimination, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, Path(wish.settle))
+    random, feasibility = np.random.default_rng(options.seed), task.feasibility
+    discrimination, labels = (
+        (None, []) if options.settle is None else rival_effects(task.feasibility, Path(options.settle))
+    )
     others = typical_motions(feasibility, task.form, random, _OTHERS)
-    weight = weight_of(wish.aim, task.knowledge, others)
+    weight = aim_weight(options.aim, task.belief, others)
     criterion = expected_error(feasibility, weight, task.form)
-    searching = partial(wish.progress, "searching")
+    searching = partial(options.progress, "searching")
     if discrimination is None:
         motion = Search(feasibility, task.form, criterion).run(random, searching)
     else:
         motion = discriminating_motion(feasibility, task.form, discrimination, random, searching)
-    wish.progress("comparing", 0.0)
+    options.progress("comparing", 0.0)
     randoms = [random_feasible(feasibility, task.form, random) for _ in range(_COMPARED)]
-    learning = expected_learning(task.knowledge, weight, motion, randoms)
+    learning = expected_learning(task.belief, weight, motion, randoms)
     decisions = () if discrimination is None else tuple(_decisions(discrimination, labels, motion, randoms))
     return Excitation(
         task=task,
-        error=error_description(wish.aim),
+        error=error_description(options.aim),
         motion=motion,
         margins=feasibility.margins(motion),
         learning=learning,
@@ -276,20 +288,22 @@ def _decisions(
     labels: Sequence[tuple[str, Sequence[str]]],
     motion: ExcitingMotion,
     randoms: Sequence[ExcitingMotion],
-) -> Iterator[Decision]:
+) -> Iterator[ExpectedDiscrimination]:
     designed, others = discrimination.differences(motion), [discrimination.differences(random) for random in randoms]
     for place, (finding, rivals) in enumerate(labels):
         for index, rival in enumerate(rivals):
-            yield Decision(finding, rival, designed[place][index], float(np.median([o[place][index] for o in others])))
+            yield ExpectedDiscrimination(
+                finding, rival, designed[place][index], float(np.median([o[place][index] for o in others]))
+            )
 
 
-def open_questions(feasibility: Feasibility, path: Path) -> tuple[DiscriminationCriterion, list[tuple[str, list[str]]]]:
+def rival_effects(feasibility: Feasibility, path: Path) -> tuple[DiscriminationCriterion, list[tuple[str, list[str]]]]:
     """Criterion of how well a motion discriminates between rivals; and labels of each finding and its rivals.
 
     Raises InputError naming the ``path`` of the gap.json, and the entry that does not fit the robot.
     """
     findings, floor = read_open_findings(path)
-    before = feasibility.knowledge
+    before = feasibility.belief
     model = before.model.without_effects()
     _refuse_other_robot(model, floor, path)
     knowledge = belief_from_urdf(model, feasibility.limits)

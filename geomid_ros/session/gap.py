@@ -27,16 +27,16 @@ from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, find_gap, remainder_of_model, residual_rms
 from geomid_ros.inference.prior import OtherRecordings
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import HELD_OUT, Bags, divided, read_samples, samples_of_messages
+from geomid_ros.session.recordings import HELD_OUT, Bags, read_samples, samples_of_messages, split_held_out
 from geomid_ros.session.session import Session, document
 from geomid_ros.session.training import check_measured
 from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF
-from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse
+from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.unitree import LOW_STATE
@@ -52,7 +52,7 @@ MESSAGES_FOR_RATE = 64
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recordings:
+class GapSamples:
     """Samples for the gap workflow, one element per recording.
 
     Attributes:
@@ -94,15 +94,16 @@ def identified_session(session: Session, estimate: Estimate) -> Session:
     return Session(session.urdf, session.configuration.with_values(values), "robot_description", loaded=loaded)
 
 
-def rate(stamps: Sequence[int]) -> float:
+def message_rate(stamps: Sequence[int]) -> float:
     """Messages per second, from the first stamps [ns]; infinite if these do not determine it."""
     period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     return 1e9 / period if period > 0.0 else np.inf
 
 
 def gap_cutoff(session: Session, rate: float) -> float:
-    """Low-pass cutoff [Hz] for ``rate`` joint messages per second: the configured one, or what the rate allows."""
-    if "filter.cutoff" in session.configuration.given:
+    """Low-pass cutoff [Hz] for ``message_rate`` joint messages per second: the configured one, or what the rate
+    allows."""
+    if "filter.cutoff" in session.configuration.given_values:
         return float(session.configuration["filter.cutoff"])
     return min(CUTOFF, rate / LOWEST_RATE_PER_CUTOFF)
 
@@ -116,8 +117,8 @@ def _filtered_at(session: Session, cutoff: float) -> SignalSettings:
     return replace(session.configuration.signals(session.robot.joint_names), cutoff=cutoff)
 
 
-def find(
-    session: Session, recordings: Recordings, known_remainder: KnownRemainder | None, progress: Progress
+def find_gap_in_samples(
+    session: Session, recordings: GapSamples, known_remainder: KnownRemainder | None, progress: Progress
 ) -> GapResult:
     """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model, the information on it, and its remainder
     in the recordings that it was identified from: ``known_remainder``.
@@ -137,7 +138,7 @@ def find(
         recordings.train,
         recordings.held_out,
         recordings.cutoff,
-        alike=session.alike,
+        alike=session.alike_links,
         nominal=session.prior,
         deviations=deviations,
         previous=information,
@@ -152,8 +153,8 @@ def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatAr
     """Information from the recordings of the session's model on its links, jointly with its effects if that was kept;
     and standard deviations ``(D,)`` apart from this information. All masses may be off by a common fraction."""
     model, loaded, prior = session.model, session.loaded, session.prior
-    deviations = loaded.deviations(model)
-    if prior is None or loaded.known is None:
+    deviations = loaded.coefficient_stds(model)
+    if prior is None or loaded.links_information is None:
         return None, deviations
     if (posterior := _posterior_of(session)) is not None:
         known, prior_stds = _information_of(posterior, model)
@@ -190,10 +191,10 @@ def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[Othe
     return known, np.where(order >= 0, prior_stds[order], np.nan)
 
 
-def standing_of(session: Session) -> KnownRemainder | None:
+def known_remainder_of(session: Session) -> KnownRemainder | None:
     """Remainder of the session's model where it was identified. If it is not known, a note is added to the review."""
     source = session.loaded.source
-    if session.loaded.known is None:
+    if session.loaded.links_information is None:
         return None
     path = Path(source).with_name(POSTERIOR)
     stored = read_remainder(path) if path.is_file() else None
@@ -232,9 +233,9 @@ def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
 
 
 def find_in_messages(
-    session: Session, messages: Sequence[Accepted], known_remainder: KnownRemainder | None, progress: Progress
+    session: Session, messages: Sequence[AcceptedMessages], known_remainder: KnownRemainder | None, progress: Progress
 ) -> GapResult:
-    """Like :func:`find`, on messages accepted by another pipeline; their last part is held out.
+    """Like :func:`find_gap_in_samples`, on messages accepted by another pipeline; their last part is held out.
 
     Raises:
         InputError: too little was measured.
@@ -242,12 +243,14 @@ def find_in_messages(
     cutoff, samples = _samples_of(session, messages, progress)
     session.review.check.add(samples)
     session.review.judge()
-    ((train, held_out),) = divided([samples], HELD_OUT)
-    return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), known_remainder, progress)
+    ((train, held_out),) = split_held_out([samples], HELD_OUT)
+    return find_gap_in_samples(
+        session, GapSamples(cutoff=cutoff, train=[train], held_out=[held_out]), known_remainder, progress
+    )
 
 
-def lacking_in_messages(
-    session: Session, messages: Sequence[Accepted], progress: Progress = silent
+def remainder_in_messages(
+    session: Session, messages: Sequence[AcceptedMessages], progress: Progress = silent
 ) -> KnownRemainder | None:
     """Remainder of an :func:`identified_session`'s model in its messages; None if they are not informative enough."""
     try:
@@ -257,10 +260,10 @@ def lacking_in_messages(
         return None
 
 
-def _samples_of(session: Session, messages: Sequence[Accepted], progress: Progress) -> tuple[float, Samples]:
+def _samples_of(session: Session, messages: Sequence[AcceptedMessages], progress: Progress) -> tuple[float, Samples]:
     """Cutoff [Hz] and samples of messages accepted by another pipeline."""
     joint_stamps = [stamp for message in messages if message.topic == JOINT_STATES for stamp in message.stamps.tolist()]
-    cutoff = gap_cutoff(session, rate(joint_stamps[:MESSAGES_FOR_RATE]))
+    cutoff = gap_cutoff(session, message_rate(joint_stamps[:MESSAGES_FOR_RATE]))
     samples = samples_of_messages(gap_pipeline(session, cutoff), messages, "reading", progress)
     if samples is None:
         raise InputError(
@@ -278,7 +281,7 @@ class GapReader:
     bags: Bags
     progress: Progress = silent
 
-    def read(self, simulated: Sequence[Path]) -> Recordings:
+    def read(self, simulated: Sequence[Path]) -> GapSamples:
         """Read the samples to fit and those to evaluate on.
 
         Args:
@@ -301,7 +304,7 @@ class GapReader:
         self.session.review.judge()
         for pair in zip(simulated, twins, fitted, recorded, strict=False):
             _check_twin(self.session, *pair)
-        parts = [part for samples in recorded for part in divided([samples], self.bags.share)]
+        parts = [part for samples in recorded for part in split_held_out([samples], self.bags.held_out_fraction)]
         train, held_out = [early for early, _ in parts], [late for _, late in parts]
         held_out += [self._whole(path, cutoff) for path in validate]
         check_measured(self.session, train, fitted)
@@ -310,7 +313,7 @@ class GapReader:
                 "nothing to judge on: hold out a part of the bags with --hold-out, or name others with --validate"
             )
         held_out = [samples for samples in held_out if len(samples)]
-        return Recordings(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
+        return GapSamples(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
 
     def train(self) -> tuple[float, list[Samples]]:
         """Read the samples to fit, for the present model: their cutoff [Hz], and the samples, one element per bag.
@@ -323,21 +326,21 @@ class GapReader:
         columns = library_columns(session.model) if session.loaded.situational_effects else session.model.columns
         pipelines = [session.new_pipeline(_filtered_at(session, cutoff), columns) for _ in self.bags.fitted]
         recorded = map(self._samples, self.bags.fitted, pipelines)
-        return cutoff, [divided([samples], self.bags.share)[0][0] for samples in recorded]
+        return cutoff, [split_held_out([samples], self.bags.held_out_fraction)[0][0] for samples in recorded]
 
-    def sharp(self, topic: str = "") -> list[Samples]:
+    def high_cutoff_samples(self, topic: str = "") -> list[Samples]:
         """Read the samples to evaluate on, one element per bag, with the highest cutoff that the rate allows.
 
         Args:
             topic: read the joints' set-points on this topic instead of the joint states.
         """
-        shares = [(path, share) for path, share in self.bags.shares if share > 0.0]
+        shares = [(path, share) for path, share in self.bags.held_out_fractions if share > 0.0]
         cutoff = min(SHARP_CUTOFF, self._rate([*self.bags.fitted, *self.bags.validate]) / LOWEST_RATE_PER_CUTOFF)
         return [self._late(path, share, cutoff, topic) for path, share in shares]
 
     def _late(self, path: Path, share: float, cutoff: float, topic: str) -> Samples:
         pipeline = self.session.new_pipeline(_filtered_at(self.session, cutoff))
-        ((_, late),) = divided([self._samples(path, pipeline, topic)], share)
+        ((_, late),) = split_held_out([self._samples(path, pipeline, topic)], share)
         return Samples.concatenate([late])  # a copy, so that the whole recording is not kept in memory
 
     def _whole(self, path: Path, cutoff: float) -> Samples:
@@ -351,7 +354,7 @@ class GapReader:
 
     def _rate(self, paths: Sequence[Path]) -> float:
         """Joint messages per second at the beginning of the slowest bag."""
-        return min(rate(self._first_stamps(path)) for path in paths)
+        return min(message_rate(self._first_stamps(path)) for path in paths)
 
     def _first_stamps(self, path: Path) -> list[int]:
         with Bag(path) as bag:

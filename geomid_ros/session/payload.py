@@ -9,7 +9,7 @@ from itertools import compress
 
 import numpy as np
 
-from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.verdict import Verdict, recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
@@ -18,7 +18,7 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia, identified, numbers
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia, identified, quantities_and_moments
 from geomid_ros.files.models.posterior import places_in
 from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.inference.prior import GAIN, PAYLOAD_PRIOR_STD, default_payload
@@ -58,7 +58,7 @@ class WeighedPayload(UncertainInertia):
     rms: dict[str, float]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[RecordingFault, ...]
     verdict: Verdict
 
     @property
@@ -101,7 +101,7 @@ def payload_watch(session: Session, channels: Sequence[Channel], surprise: float
     )
 
 
-def weigh(
+def identify_payload(
     session: Session, empty: Sequence[Samples] | Posterior, loaded: Sequence[Samples], link: str, gain: float = GAIN
 ) -> WeighedPayload:
     """Fit the links and effects of the robot, and one additional body in the recording with the payload.
@@ -158,12 +158,15 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
     body, posterior = fit.links[-1], fit.posterior
     moments = posterior.manifold.link(len(fit.links) - 1).start + np.arange(1, 4)
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
-    values, bodies = numbers(body.parameters), [numbers(other.links[-1].parameters) for other in shifted]
+    values, bodies = (
+        quantities_and_moments(body.parameters),
+        [quantities_and_moments(other.links[-1].parameters) for other in shifted],
+    )
     systematic = _gain_std(np.array(bodies).reshape(-1, len(values)) - values)
     if link == session.robot.tree.root:  # elsewhere its moments distinguish a payload from the whole robot's mass
         robot = sum(other.mass for other in fit.links[:-1])
         heavier = body.parameters + np.append(session.relative_mass_std * robot, np.zeros(9))
-        systematic = np.hypot(systematic, numbers(heavier) - values)
+        systematic = np.hypot(systematic, quantities_and_moments(heavier) - values)
     deviations = np.hypot(np.append(body.std, moment_std), systematic)
     is_identified = identified(body.parameters, np.hypot(body.std_doubted, systematic), body.std_prior)
     return WeighedPayload(

@@ -20,7 +20,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import meaning_of
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, Accepted, message_type
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, AcceptedMessages, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.unitree import KINDS
 
@@ -82,19 +82,19 @@ class Bags:
             )
 
     @property
-    def share(self) -> float:
+    def held_out_fraction(self) -> float:
         """Fraction of each fitted bag's time that is held out."""
         return self.hold_out if self.hold_out is not None else (0.0 if self.validate else HELD_OUT)
 
     @property
     def holds_out(self) -> bool:
         """True if some data are not fitted, but held out."""
-        return bool(self.validate) or self.share > 0.0
+        return bool(self.validate) or self.held_out_fraction > 0.0
 
     @property
-    def shares(self) -> list[tuple[Path, float]]:
+    def held_out_fractions(self) -> list[tuple[Path, float]]:
         """Every bag with the fraction of it that is held out."""
-        return [*((path, self.share) for path in self.fitted), *((path, 1.0) for path in self.validate)]
+        return [*((path, self.held_out_fraction) for path in self.fitted), *((path, 1.0) for path in self.validate)]
 
 
 def recorded_description(bags: Sequence[Path]) -> tuple[str, str]:
@@ -122,7 +122,7 @@ def recorded_description(bags: Sequence[Path]) -> tuple[str, str]:
     raise InputError(f"{names}: no robot description is recorded ({_DESCRIPTION}, {_TEXT}); name a file with --urdf")
 
 
-def divided(batches: Sequence[Samples], share: float) -> list[tuple[Samples, Samples]]:
+def split_held_out(batches: Sequence[Samples], share: float) -> list[tuple[Samples, Samples]]:
     """Divide one recording into data to fit and held-out data.
 
     Args:
@@ -178,7 +178,7 @@ def read_bags(
         for samples in _opened(path, session, pipeline, bags.topics, progress):
             session.review.check.add(samples)
             first = first or samples.select(slice(1))
-            boundary = max(boundary, _boundary(first, samples, bags.share))
+            boundary = max(boundary, _boundary(first, samples, bags.held_out_fraction))
             kept.append(samples)
             while kept and kept[0].stamps[-1] < boundary:
                 fitted.add(kept.popleft())
@@ -189,7 +189,7 @@ def read_bags(
             held_out += [late] if len(late) else []
     fitted.check(bags.fitted)
     session.review.judge()
-    session.review.findings += fitted.standing()
+    session.review.findings += fitted.standstill_findings()
     for path in bags.validate:
         pipeline, check = session.new_pipeline(), session.review.new_check()
         for samples in _opened(path, session, pipeline, bags.topics, progress):
@@ -251,7 +251,7 @@ def read_samples(
 
 
 def samples_of_messages(
-    pipeline: SignalPipeline, messages: Sequence[Accepted], stage: str, progress: Progress
+    pipeline: SignalPipeline, messages: Sequence[AcceptedMessages], stage: str, progress: Progress
 ) -> Samples | None:
     """Samples of messages accepted by another pipeline; None if they are too few."""
     for index, message in enumerate(messages):
@@ -289,7 +289,7 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     if any(meaning_of(text) == "frame" for account in pipeline.ledger.topics.values() for text in account.rejected):
         reasons.append("--wrench sets the frame of a wrench, wrench.*.frame_id the frame_id of its messages")
     text = f"{bag.path}: no usable samples. " + "; ".join(reasons)
-    missing = not pipeline.joints_heard.issuperset(session.robot.joint_names)
+    missing = not pipeline.received_joints.issuperset(session.robot.joint_names)
     joints = f"The URDF's moving joints: {', '.join(session.robot.joint_names)}"
     end = "" if text.endswith("?") else "."
     return f"{text}{end} Or the recording is of another robot. {joints}" if missing else text

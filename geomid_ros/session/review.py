@@ -10,12 +10,20 @@ from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
+from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.definite_faults import encoder_zeros
 from geomid_ros.checks.moving_base import displaced_imu, never_lifted, turned_imu
-from geomid_ros.checks.obvious import encoder_zeros
+from geomid_ros.checks.recording_check import CheckTask, RecordingCheck, RunCheck, no_external_forces
 from geomid_ros.checks.unexplained import unexplained, unexplained_base
-from geomid_ros.checks.verdict import HEAVIER, Verdict, unlike, verdict, worse_channels, worse_in_folds, worse_on_rows
+from geomid_ros.checks.verdict import (
+    HEAVIER,
+    Verdict,
+    poorly_predicted,
+    verdict,
+    worse_channels,
+    worse_in_folds,
+    worse_on_rows,
+)
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.summary import RowSummary
@@ -33,7 +41,7 @@ from geomid_ros.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
+class RecordingFacts:
     """Facts about recordings in addition to their samples.
 
     Attributes:
@@ -47,7 +55,7 @@ class Recorded:
     """
 
     accounts: Mapping[str, Account] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[RecordingFault, ...] = ()
     remarks: tuple[str, ...] = ()
     unmeasured: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
@@ -55,7 +63,7 @@ class Recorded:
     settled: tuple[str, ...] = ()
 
     @staticmethod
-    def together(several: Sequence[Recorded]) -> Recorded:
+    def combined(several: Sequence[RecordingFacts]) -> RecordingFacts:
         """Combine several: each sentence once, and the joints that are unmeasured in all of them."""
         ledger = Ledger()
         for recorded in several:
@@ -67,13 +75,13 @@ class Recorded:
             for name in ("remarks", "unmeasured", "incomplete", "unchecked", "settled")
         }
         once["unmeasured"] = tuple(joint for joint in once["unmeasured"] if joint in common)
-        return Recorded(accounts=ledger.topics, findings=tuple(findings.values()), **once)
+        return RecordingFacts(accounts=ledger.topics, findings=tuple(findings.values()), **once)
 
 
 _OFTEN = "; does the driver publish more often than it measures? What repeats is left out, the rest serves"
 
 
-def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account]) -> list[Finding]:
+def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account]) -> list[RecordingFault]:
     """Driver faults that make all messages of a topic doubtful.
 
     Args:
@@ -84,14 +92,14 @@ def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account
     for topic, account in accounts.items():
         noted = account.noted - before.get(topic, Account()).noted
         findings += [
-            Finding(cause=Cause(kind="stream", sentence=f"{topic}: {remark.sentence}", places=(topic,)))
+            RecordingFault(cause=Cause(kind="stream", sentence=f"{topic}: {remark.sentence}", places=(topic,)))
             for remark in noted
             if isinstance(remark, Reason) and remark.meaning == "driver error"
         ]
     return findings
 
 
-def is_whole(accounts: Mapping[str, Account]) -> bool:
+def is_continuous(accounts: Mapping[str, Account]) -> bool:
     """True if no positions jump, by the accounts of all topics."""
     return not any(LEAP in account.noted for account in accounts.values())
 
@@ -178,33 +186,33 @@ class Review:
         gains = configuration.signals(joints).effort_gains(joints)
         # A separate model: checks run in another thread than rows, and pinocchio's buffers must not be shared.
         model = setup.model.with_gravity(setup.robot.gravity)
-        self.new_check = partial(RecordingCheck, JudgementTask(model, gains, names, setup.controller))
+        self.new_check = partial(RecordingCheck, CheckTask(model, gains, names, setup.controller))
         """Creates a check of other recordings of this robot."""
         self.check = self.new_check()
         """Collects all samples, and checks them as a whole."""
-        self.findings: tuple[Finding, ...] = ()
+        self.findings: tuple[RecordingFault, ...] = ()
         """Suspected faults of the recording as a whole."""
         self.settled: list[str] = []
         """Choices made for the user, in sentences."""
-        self._kept: tuple[Finding, ...] = ()  # findings on recordings that are checked separately
+        self._kept: tuple[RecordingFault, ...] = ()  # findings on recordings that are checked separately
         self._validated: tuple[str, ...] = ()  # sentences on recordings that are only evaluated on
         self._forgotten: dict[str, Account] = {}  # the ledger's counts when findings were forgotten
         self._incomplete: list[str] = []  # sentences on missing parts of the recordings that were read
         self._unchecked: list[str] = []  # names of those without checksums
         self._imus: list[str] = []  # IMU topics in the recordings
-        self._elsewhere = Recorded()  # facts about recordings read by another session
+        self._elsewhere = RecordingFacts()  # facts about recordings read by another session
 
     def judge(self) -> None:
         """Check the recording as a whole, by the samples that :attr:`check` has collected so far."""
         check = self.check
         topics = self._ledger.topics
-        findings = check.findings(whole=is_whole(topics))
+        findings = check.findings(continuous=is_continuous(topics))
         if check is self.check:  # nothing was forgotten meanwhile
             findings = (*self._kept, *findings, *faulty_streams(topics, self._forgotten))
             findings = (*(self._moving_base() if findings else ()), *findings)
             self.findings = tuple({finding.sentence: finding for finding in findings}.values())
 
-    def _moving_base(self) -> tuple[Finding, ...]:
+    def _moving_base(self) -> tuple[RecordingFault, ...]:
         """One finding that the base may move, if it counts as fixed and an IMU was recorded; else none."""
         if self._robot.floating_base or not self._imus:
             return ()
@@ -213,10 +221,10 @@ class Review:
             f"the bag has an IMU ({imu}), and efforts are not those of a robot whose base is fixed: if the base moves, "
             f"say so with --imu {imu}:FRAME and --contacts FOOT:RADIUS,..."
         )
-        return (Finding(cause=Cause(kind="base", sentence=sentence, places=(imu,))),)
+        return (RecordingFault(cause=Cause(kind="base", sentence=sentence, places=(imu,))),)
 
-    def use(self, judge: Judge) -> None:
-        """Use ``judge``, for example in another process, instead of :meth:`JudgementTask.judge`. Call before
+    def judge_with(self, judge: RunCheck) -> None:
+        """Use ``judge``, for example in another process, instead of :meth:`CheckTask.judge`. Call before
         samples."""
         self.new_check = partial(self.new_check, judge=judge)
         self.check = self.new_check()
@@ -229,7 +237,7 @@ class Review:
             check: the check that has collected its samples.
             accounts: counts of its messages, by topic.
         """
-        findings = (*check.findings(whole=is_whole(accounts)), *faulty_streams(accounts, {}))
+        findings = (*check.findings(continuous=is_continuous(accounts)), *faulty_streams(accounts, {}))
         self._validated += tuple(f"{name}, which is judged on: {finding.sentence}" for finding in findings)
 
     def forget(self) -> None:
@@ -280,16 +288,16 @@ class Review:
             remarks += encoder_zeros(controller, estimate.effects, self._robot.joint_names)
         remarks += unexplained_base(self._model, samples, estimate.parameters)
         remarks += never_lifted(self._model, estimate)
-        remarks += [] if held_out is None else unlike(estimate, held_out)
+        remarks += [] if held_out is None else poorly_predicted(estimate, held_out)
         impossible = tuple(impossible_links(self._setup.urdf, self._setup.source, self._suspects(estimate)))
         return verdict(
             estimate,
             findings,
             self._model,
-            worse=worse,
+            degraded_channels=worse,
             unmeasured=recorded.unmeasured,
-            peculiar=remarks,
-            impossible=impossible,
+            effort_faults=remarks,
+            implausible_links=impossible,
         )
 
     def _suspects(self, estimate: Estimate) -> Iterator[LinkEstimate]:
@@ -300,9 +308,9 @@ class Review:
             if far and len(self._robot.subtree(link.name)) > 1:
                 yield link
 
-    def _unexplained(self, estimate: Estimate, samples: Sequence[Samples]) -> tuple[Finding, ...]:
+    def _unexplained(self, estimate: Estimate, samples: Sequence[Samples]) -> tuple[RecordingFault, ...]:
         """Findings on joints whose efforts an estimate does not explain; empty if there are none."""
-        if not efforts_alone(self._model):
+        if not no_external_forces(self._model):
             return ()
         return unexplained(self._model, samples, estimate.parameters, self.check.recorded)
 
@@ -310,11 +318,11 @@ class Review:
         """Sentences on what makes results doubtful: the initial model, the estimate and its verdict."""
         reasons = verdict.warnings if verdict is not None else ()
         sentences = [
-            self._setup.loaded.doubt,
+            self._setup.loaded.warning,
             *reasons,
             *self._incomplete,
-            *self._robot.repaired.values(),
-            *([_massless(self._robot.massless)] if self._robot.massless else []),
+            *self._robot.inertia_repairs.values(),
+            *([_massless(self._robot.massless_links)] if self._robot.massless_links else []),
             self._setup.loaded.not_predicted if estimate is not None else "",
         ]
         return [*filter(None, sentences), *(estimate.warnings if estimate is not None else ())]
@@ -331,7 +339,7 @@ class Review:
         self.check.begin_recording()
         self._imus += [topic for topic, kind in bag.topics.items() if kind == message_type(IMU)]
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
-        self._unchecked += [] if bag.checked else [bag.path.name]
+        self._unchecked += [] if bag.has_checksums else [bag.path.name]
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -339,10 +347,10 @@ class Review:
         return (*self._elsewhere.remarks, *self.check.remarks, *self._validated)
 
     @property
-    def recorded(self) -> Recorded:
+    def recorded(self) -> RecordingFacts:
         """Facts about all recordings in addition to their samples."""
         elsewhere = self._elsewhere
-        return Recorded(
+        return RecordingFacts(
             accounts=self._ledger.topics,
             findings=self.findings,
             remarks=self.remarks,
@@ -352,7 +360,7 @@ class Review:
             settled=tuple(self.settled),
         )
 
-    def read_elsewhere(self, recorded: Recorded) -> None:
+    def read_elsewhere(self, recorded: RecordingFacts) -> None:
         """Add recordings that another session read, whose rows the identifier receives."""
         self._elsewhere = recorded
         self._ledger.add(recorded.accounts)

@@ -67,7 +67,7 @@ class Session(Setup):
         self._readers = readers
         self._settings = self._estimator_settings(configuration)
         self.identifier = Identifier(self.model, self._settings, configuration.buffer, self._identified_prior)
-        self.warm: WarmStart | None = None
+        self.warm_start: WarmStart | None = None
         """Start of the next solve: the last estimate."""
         self.recent = Recent(configuration["gap.memory"])
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
@@ -82,7 +82,7 @@ class Session(Setup):
         first = len(prior) - len(positive)
         return np.append(prior[:first], np.where(positive & (prior[first:] <= 0.0), np.nan, prior[first:]))
 
-    def use(self, configuration: Configuration) -> None:
+    def reconfigure(self, configuration: Configuration) -> None:
         """Solve with another configuration of the same rows. If it does not fit, raises InputError without changes."""
         settings = self._estimator_settings(configuration)
         self.identifier.use(settings)
@@ -107,14 +107,14 @@ class Session(Setup):
         return ()
 
     @property
-    def alike(self) -> tuple[AlikeParts, ...]:
+    def alike_links(self) -> tuple[AlikeParts, ...]:
         """Links that are alike, if the prior is the URDF."""
         return self._settings.alike
 
     @property
     def notes(self) -> list[str]:
         """Remarks in sentences that do not make results doubtful."""
-        return [*self.review.notes, *alike_sentences(self.alike)]
+        return [*self.review.notes, *alike_sentences(self.alike_links)]
 
     def rms(
         self, batches: Iterable[Samples], parameters: FloatArray, added: Callable[[Samples], FloatArray] | None = None
@@ -135,7 +135,9 @@ class Session(Setup):
 
     def checkpoint(self) -> Checkpoint:
         """Make a checkpoint of everything that was learned so far."""
-        return Checkpoint(self.meaning, self.identifier.memory(), self.pipeline.ledger.topics, self.warm, self._solving)
+        return Checkpoint(
+            self.meaning, self.identifier.memory(), self.pipeline.ledger.topics, self.warm_start, self._solving
+        )
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Resume from the rows of a checkpoint of the same meaning, and from its estimate if solved in the same way.
@@ -147,7 +149,7 @@ class Session(Setup):
         if warm is not None and warm.parameters.shape != (self.model.dimension,):
             raise InputError(f"an estimate of {warm.parameters.size} parameters, expected {self.model.dimension}")
         self.identifier.restore(checkpoint.memory)
-        self.warm = warm if checkpoint.solving == self._solving else None
+        self.warm_start = warm if checkpoint.solving == self._solving else None
 
     @property
     def _solving(self) -> str:

@@ -11,14 +11,14 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.columns import Column
-from geomid_ros.model.controller import Controller
+from geomid_ros.model.controller import PDController
 from geomid_ros.model.imu import ImuMount
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.urdf_tree import parse
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
 from geomid_ros.signals.settings import ACCELEROMETER_BIAS, SignalSettings
 from geomid_ros.signals.unitree import UnitreeMessages
@@ -47,9 +47,9 @@ class Setup:
         self.source = source
         self.configuration = configuration
         self.loaded = loaded or LoadedModel.read(configuration["model"])
-        sensors = self.loaded.sensors(configuration.sensors)
+        sensors = self.loaded.corrected_sensors(configuration.sensors)
         self._sensors = sensors
-        locked = self.loaded.locked(parse(urdf, source)) if self.loaded.merged else ()
+        locked = self.loaded.locked_joints(parse(urdf, source)) if self.loaded.merged else ()
         self.locked_joints = tuple(dict.fromkeys([*configuration["locked_joints"], *locked]))
         """Joints fixed at zero: those of the configuration, and those that were locked when the model was
         identified."""
@@ -64,7 +64,7 @@ class Setup:
             configuration["links"] or None,
             self.loaded.local_effects(effects),
             candidates=configuration.candidates,
-            behind_gear=configuration.behind_gear(self.robot.joint_names),
+            link_side_joints=configuration.behind_gear(self.robot.joint_names),
             contacts=configuration.contacts,
             commanded=self.controller is not None,
         )
@@ -72,10 +72,12 @@ class Setup:
         self.received_joints: set[str] = set()
         """Names of joints in all messages so far."""
 
-    def _read_controller(self) -> Controller | None:
+    def _read_controller(self) -> PDController | None:
         """Controller with the gains from which efforts are computed; None if they are measured. Raises InputError."""
         try:
-            return Controller.of(self.configuration.gains, self.robot.joint_names, self.configuration["command.delay"])
+            return PDController.of(
+                self.configuration.gains, self.robot.joint_names, self.configuration["command.delay"]
+            )
         except InputError as error:
             raise InputError(f"{self.configuration.source}: command.gains: {error}") from error
 
@@ -93,7 +95,7 @@ class Setup:
             floating_base=configuration.floating_base,
             cuts=[sensor.frame for sensor in self._sensors if sensor.role == "mounted"],
             locked_joints=self.locked_joints,
-            gravity=self.loaded.gravity(configuration.gravity),
+            gravity=self.loaded.tilted_gravity(configuration.gravity),
             source=source,
         )
 
@@ -124,16 +126,16 @@ class Setup:
     def meaning(self) -> dict[str, Any]:
         """Everything that the rows depend on, by name, as JSON. Rows of two sessions may be added up if these agree."""
         loaded, joints = self.loaded, self.robot.joint_names
-        signals = loaded.signals(SignalSettings(), joints)
+        signals = loaded.corrected_signals(SignalSettings(), joints)
         corrections = {
             "effort_gain": signals.effort_gain,
             "effort_delay": signals.effort_delay,
             "wrench_offsets": [list(sensor.offset) for sensor in self.model.sensors],
-            "gravity": loaded.gravity(self.configuration.gravity).tolist(),
+            "gravity": loaded.tilted_gravity(self.configuration.gravity).tolist(),
             "effects": [[c.effect.name, c.place_name, vars(c.effect)] for c in self.model.coefficients],
         }
         urdf = hashlib.sha256(self.urdf.encode(errors="replace")).hexdigest()
-        parameters = {**self.configuration.of_rows, "locked_joints": [*self.locked_joints]}
+        parameters = {**self.configuration.row_parameters, "locked_joints": [*self.locked_joints]}
         return {"robot_description": urdf, **parameters, "model": corrections}
 
     @property
@@ -145,13 +147,13 @@ class Setup:
     def signals(self) -> SignalSettings:
         """The configuration's settings, including what is known of the sensors."""
         joints = self.robot.joint_names
-        return self.loaded.signals(self.configuration.signals(joints), joints)
+        return self.loaded.corrected_signals(self.configuration.signals(joints), joints)
 
     def new_pipeline(
         self,
         settings: SignalSettings | None = None,
         effect_columns: tuple[Column, ...] | None = None,
-        on_accepted: Callable[[Accepted], None] = ignore,
+        on_accepted: Callable[[AcceptedMessages], None] = ignore,
         ledger: Ledger | None = None,
     ) -> SignalPipeline:
         """Create a pipeline for another recording of the same robot.
@@ -167,14 +169,14 @@ class Setup:
             joints,
             floating_base=self.robot.floating_base,
             sensors=self.model.sensors,
-            settings=self.loaded.signals(settings, joints) if settings else self.signals,
+            settings=self.loaded.corrected_signals(settings, joints) if settings else self.signals,
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
             turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
             limits=np.array([self.robot.speed_limits, self.robot.effort_limits]),
             effect_columns=effect_columns or self.model.columns,
             on_accepted=on_accepted,
             ledger=ledger,
-            joints_heard=self.received_joints,
+            received_joints=self.received_joints,
             mount=self._imu_mount,
             loads=None if self.model.legs is None else self.model.legs.loads,
             controller=self.controller,
@@ -221,7 +223,7 @@ def _lockable(robot: Robot, heard: Collection[str], frames: Iterable[str]) -> tu
     unknown = set(heard).difference(joint.name for joint in robot.tree.joints)
     if len(absent) == len(robot.joint_names) or unknown:
         return ()
-    follow = {f.joint.name: robot.joint_names[f.master] for f in robot.followers}
+    follow = {f.joint.name: robot.joint_names[f.master] for f in robot.mimic_joints}
     child = {joint.name: joint.child for joint in robot.tree.joints}
     locked = [joint for joint in (*robot.joint_names, *follow) if follow.get(joint, joint) in absent]
     measured = [joint for joint in (*robot.joint_names, *follow) if joint not in locked]

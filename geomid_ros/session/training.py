@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.wrenches import FirstForces
+from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.wrench_sensors import FirstForces
 from geomid_ros.errors import InputError
-from geomid_ros.model.measurement import Rows
+from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import sensor_channels
 from geomid_ros.session.session import Session
@@ -35,7 +35,7 @@ class Training:
         """Add findings on the sensors that are not as declared to the session's review."""
         reported = {place for finding in self._session.review.findings for place in finding.cause.places}
         self._session.review.findings += tuple(
-            Finding(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
+            RecordingFault(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
             for topic, sentence in self._guard.sentences.items()
             if topic not in reported
         )
@@ -106,7 +106,7 @@ class TrainingData:
                 "record a wrench sensor"
             )
 
-    def standing(self) -> tuple[Finding, ...]:
+    def standstill_findings(self) -> tuple[RecordingFault, ...]:
         """One finding if the robot does not move in the data to fit, else none."""
         largest = float(np.max(self._high - self._low, initial=0.0))
         if self._session.robot.floating_base or largest >= self._session.configuration["still_distance"]:
@@ -115,7 +115,7 @@ class TrainingData:
             f"the robot stands still: no joint moves by more than {largest:.2g} (rad, m), which contains almost no "
             "information"
         )
-        return (Finding(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)
+        return (RecordingFault(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)
 
 
 class WrenchGuard:

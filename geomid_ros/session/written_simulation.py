@@ -24,8 +24,8 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.closed_loop import Tracking, closed_loop, tracking
-from geomid_ros.resimulation.resimulate import Noise, NotSimulatedError, Resimulated, resimulate
+from geomid_ros.resimulation.closed_loop import Tracking, resimulate_closed_loop, tracking
+from geomid_ros.resimulation.resimulate import NotSimulatedError, ResidualNoise, Resimulated, resimulate
 from geomid_ros.session.gap import GapReader
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
@@ -43,10 +43,10 @@ def write_found(folder: Path, session: Session, result: GapResult, reader: str =
     """
     refitted = session.loaded.refitted(session.model, result.coefficients, result.beside)
     noise = {"floor": by_channel(result.channels, result.corrected_floor), "cutoff": result.cutoff}
-    effects = [*refitted.beside_inertias, *result.ordinary, *result.sure]
+    effects = [*refitted.effects_without_payloads, *result.ordinary, *result.sure]
     before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
     after = dict(zip(session.model.body_names, result.inertias, strict=True))
-    fitted = {name: _changed(model, before, after, result) for name, model in session.loaded.fitted.items()}
+    fitted = {name: _changed(model, before, after, result) for name, model in session.loaded.fitted_models.items()}
     files = {"folded": result.folded, "fitted": fitted, "reader": reader}
     return _write(folder, session, result.inertias, effects, noise=noise, **files)
 
@@ -111,12 +111,12 @@ def simulate_again(
     fitted = loaded.refitted(session.model, result.coefficients, result.beside)
     with TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
-        _write(before, session, nominal_inertias(session), loaded.in_samples)
-        _write(after, session, result.inertias, [*fitted.in_samples, *result.ordinary, *result.sure])
-        robots, noise = (session.model, ModelFiles.of(before), ModelFiles.of(after)), Noise.of(result)
+        _write(before, session, nominal_inertias(session), loaded.effects_in_samples)
+        _write(after, session, result.inertias, [*fitted.effects_in_samples, *result.ordinary, *result.sure])
+        robots, noise = (session.model, ModelFiles.of(before), ModelFiles.of(after)), ResidualNoise.of(result)
         simulations = [("", partial(resimulate, *robots, sharp, noise))]
         if commands:
-            loop = partial(closed_loop, *robots, sharp, commands, noise=noise, cutoff=cutoff)
+            loop = partial(resimulate_closed_loop, *robots, sharp, commands, noise=noise, cutoff=cutoff)
             simulations.append(("in closed loop, ", loop))
         simulated, reasons = list[Resimulated](), list[str]()
         for prefix, simulate in simulations:
@@ -150,8 +150,8 @@ def tracking_of(session: Session, written: WrittenModel, bags: Bags, topic: str)
         raise InputError(f"{_OPTION} simulates in MuJoCo, which is not installed (pip install mujoco)")
     if not bags.holds_out:
         raise InputError(f"{_OPTION} simulates what is held out, and nothing is: use --hold-out or --validate")
-    paths = [path for path, share in bags.shares if share > 0.0]
-    sharp = GapReader(session, bags).sharp()
+    paths = [path for path, share in bags.held_out_fractions if share > 0.0]
+    sharp = GapReader(session, bags).high_cutoff_samples()
     pairs = [_commanded(session, path, topic, samples) for path, samples in zip(paths, sharp, strict=True)]
     with TemporaryDirectory() as name:
         folder, gravity = Path(name), session.configuration.gravity

@@ -14,7 +14,7 @@ import numpy as np
 
 from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.settings import CLEAR
+from geomid_ros.signals.settings import CLEAR_RATIO
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _Numbers = TypeVar("_Numbers", FloatArray, IntArray)
@@ -42,7 +42,7 @@ def in_bursts(stamps: IntArray, max_gap: int) -> bool:
     Steps longer than ``max_gap`` [ns] do not count."""
     steps = np.diff(stamps)
     steps = steps[steps <= max_gap]
-    return bool(len(steps) and np.mean(steps < np.mean(steps) / CLEAR) > 1.0 / CLEAR)
+    return bool(len(steps) and np.mean(steps < np.mean(steps) / CLEAR_RATIO) > 1.0 / CLEAR_RATIO)
 
 
 class RegularClock:

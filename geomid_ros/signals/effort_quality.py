@@ -8,7 +8,7 @@ import numpy as np
 
 from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.settings import CLEAR, LONGEST_SAME
+from geomid_ros.signals.settings import CLEAR_RATIO, LONGEST_SAME
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _CHUNK = 128  # messages of a chunk
@@ -264,24 +264,24 @@ def effort_faults(
     typical, jumped = _mean(change, (change > 0.0) & ~jumps), _mean(change, jumps)
     step = np.min(change, axis=0, where=change > 0.0, initial=np.inf)
     many = (np.count_nonzero(change, axis=0) >= _MANY) & (std > 0.0)
-    coarse = many & (CLEAR * step > std)
+    coarse = many & (CLEAR_RATIO * step > std)
     fine = many & ~coarse
 
     period = 1e-9 * float(np.median(np.diff(stamps)))
     moving = np.abs(np.diff(positions, axis=0)) > REST_SPEED * period
     renewed = np.sum(moving & (change > 0.0), axis=0)
     renewal_period = period * np.sum(moving, axis=0) / np.maximum(renewed, 1)
-    held = fine & (renewed >= _MANY) & (renewal_period > LONGEST_SAME) & (typical > CLEAR * step)
+    held = fine & (renewed >= _MANY) & (renewal_period > LONGEST_SAME) & (typical > CLEAR_RATIO * step)
 
     least = np.min(size, axis=0, where=size > 0.0, initial=np.inf)
-    dead = (np.mean(size == 0.0, axis=0) > _SMALL) & (CLEAR * least > std)
-    zero = fine & ~held & (dead | ((count >= _MANY) & (jumped > CLEAR * typical)))
+    dead = (np.mean(size == 0.0, axis=0) > _SMALL) & (CLEAR_RATIO * least > std)
+    zero = fine & ~held & (dead | ((count >= _MANY) & (jumped > CLEAR_RATIO * typical)))
 
     relative = (efforts - np.min(efforts, axis=0)) / np.where(span > 0.0, span, 1.0)
     low, high = relative < _SMALL, relative > 1.0 - _SMALL
     both = [np.sum(one[:-1] & other[1:], axis=0) for one, other in ((low, high), (high, low))]
     over = fine & ~held & ~zero & (typical < _SMALL * span) & (np.minimum(*both) >= _OVERFLOWS)
-    over &= span < 2.0 * CLEAR * std  # else a few spikes make the range
+    over &= span < 2.0 * CLEAR_RATIO * std  # else a few spikes make the range
 
     copied = np.zeros(len(span), dtype=np.bool_)
     few = np.where(size > 0.0, efforts, np.nan)[: int(_SMALL * len(efforts)) + 1].T  # copies agree at least once here

@@ -10,11 +10,11 @@ from math import tau
 
 import numpy as np
 
-from geomid_ros.signals.admission import FEW, Answer, Gate
 from geomid_ros.signals.clocks import FEWEST, steps
 from geomid_ros.signals.effort_quality import SpikeHeights
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.settings import CLEAR, FASTEST, FINEST, SHORTEST_CONTACT
+from geomid_ros.signals.reorder_buffer import FEW, Gate, GateDecision
+from geomid_ros.signals.settings import BEST_POSITION_ACCURACY, CLEAR_RATIO, LARGEST_SPEED_LIMIT, SHORTEST_CONTACT
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 AHEAD = 5
@@ -48,7 +48,7 @@ class JointGate(Gate):
         super().__init__(max_gap)
         self._joints = joints
         self._turn = np.where(turning, tau, 0.0)
-        self._speed = _TOO_FAST * np.minimum(limits[0], FASTEST)
+        self._speed = _TOO_FAST * np.minimum(limits[0], LARGEST_SPEED_LIMIT)
         self._efforts = SpikeHeights(limits[1])
         self._period_before = np.inf
         self._usual_step = 0.0  # [s] long step between uneven stamps
@@ -124,7 +124,7 @@ class JointGate(Gate):
         if self._efforts.add(numbers[:, 2]) and len(self._stamps) > 2 * FEWEST:
             self._usual_step = 1e-9 * float(np.partition(np.diff(self._stamps), -FEW)[-FEW])
 
-    def _answer(self, stamps: IntArray, numbers: FloatArray, *, final: bool) -> Answer | None:
+    def _answer(self, stamps: IntArray, numbers: FloatArray, *, final: bool) -> GateDecision | None:
         in_order = super()._answer
         is_late = self._late < stamps[0] <= self._stamp or (len(stamps) > 1 and stamps[0] <= self._stamp < stamps[1])
         if is_late or abs(stamps[0] - self._stamp) > self._max_gap:
@@ -133,28 +133,28 @@ class JointGate(Gate):
         for count in range(1, min(FEW, len(stamps) - 2) + 1):
             reason = self._early(stamps, count) or self._position_jumps(stamps, numbers, count)
             if reason:
-                return Answer(count, refused=reason)
+                return GateDecision(count, refused=reason)
             spike = self._effort_spikes(numbers, count)
             if spike:
                 return self._spike(spike, count, self._elapsed(stamps, count))
         if len(stamps) <= AHEAD and not final:
             return None
         if self._clock_was_set(stamps, numbers):
-            return Answer(noted=CLOCK_SET, begins=True)
+            return GateDecision(noted=CLOCK_SET, begins=True)
         if stamps[0] <= self._stamp:
             self._late = int(stamps[0])
             return in_order(stamps, numbers, final=final)
-        return Answer(noted=LEAP, begins=True) if self._position_leaps(stamps, numbers) else Answer()
+        return GateDecision(noted=LEAP, begins=True) if self._position_leaps(stamps, numbers) else GateDecision()
 
     @staticmethod
-    def _spike(effort: str, count: int, elapsed: float) -> Answer:
+    def _spike(effort: str, count: int, elapsed: float) -> GateDecision:
         """Decide on an effort that returns within ``elapsed`` [s]. Short contacts are refused, too, as they are not the
         robot's dynamics. Longer peaks are kept, as the robot may move in a new way."""
         if elapsed <= SHORTEST_CONTACT:
-            return Answer(count, refused=f"{effort} {SPIKE}")
+            return GateDecision(count, refused=f"{effort} {SPIKE}")
         if count == 1 and elapsed <= 2.0 * SHORTEST_CONTACT:
-            return Answer(count, refused=f"{effort} {SPIKE_OR_CONTACT}")
-        return Answer(noted=Reason(f"{effort} {SPIKE_OR_CONTACT}: kept", "told"))
+            return GateDecision(count, refused=f"{effort} {SPIKE_OR_CONTACT}")
+        return GateDecision(noted=Reason(f"{effort} {SPIKE_OR_CONTACT}: kept", "told"))
 
     def _early(self, stamps: IntArray, length: int) -> str:
         """EARLY if the first ``length`` stamps are ahead of the next two, which continue the last good one; else
@@ -177,7 +177,7 @@ class JointGate(Gate):
             return ""
         jumps &= self._distance(back[0], last[0]) < reach
         jumps &= self._distance(later[0], last[0]) < 2.0 * reach
-        jumps &= far > CLEAR * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
+        jumps &= far > CLEAR_RATIO * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
         return (
             f"position of '{self._joints[int(np.argmax(jumps))]}' jumps, and back, faster than it can move"
             if jumps.any()
@@ -191,7 +191,7 @@ class JointGate(Gate):
         if not (far > reach).any():
             return False
         largest_step = np.maximum(self._largest_step(self._last), self._largest_step(numbers))
-        return bool(np.any((far > reach) & (far > CLEAR * largest_step)))
+        return bool(np.any((far > reach) & (far > CLEAR_RATIO * largest_step)))
 
     def _effort_spikes(self, numbers: FloatArray, length: int) -> str:
         """Name the effort that leaves its usual range and returns; empty if none does."""
@@ -200,7 +200,7 @@ class JointGate(Gate):
         spikes = height > self._efforts.least
         if not spikes.any():
             return ""
-        spikes &= np.maximum(np.abs(back - last), np.abs(later - last)) < height / CLEAR
+        spikes &= np.maximum(np.abs(back - last), np.abs(later - last)) < height / CLEAR_RATIO
         return f"effort of '{self._joints[int(np.argmax(spikes))]}'" if spikes.any() else ""
 
     def _largest_step(self, numbers: FloatArray) -> FloatArray:
@@ -215,7 +215,7 @@ class JointGate(Gate):
         step = 1e-9 * float(stamps[0] - self._stamp)
         if not _LEAST_SET < abs(step - period) < np.inf or min(len(self._stamps), len(self._last), len(stamps)) < count:
             return False
-        if np.any((periods < period / CLEAR) | (periods > _USUAL_STEP * period)):
+        if np.any((periods < period / CLEAR_RATIO) | (periods > _USUAL_STEP * period)):
             return False
         before, after = self._without_turns(self._last[-count:, 0], numbers[:, 0])
         ends = _edge_state(self._stamps[-count:] - self._stamps[-1], before), _edge_state(stamps - stamps[0], after)
@@ -233,7 +233,7 @@ def _edge_state(stamps: IntArray, positions: FloatArray) -> tuple[FloatArray, Fl
     ``positions (N, joints)``."""
     terms = np.vander(1e-9 * stamps, 3, increasing=True)
     coefficients, *_ = np.linalg.lstsq(terms, positions, rcond=None)
-    noise = np.sum((positions - terms @ coefficients) ** 2, axis=0) / (len(stamps) - 3) + FINEST**2
+    noise = np.sum((positions - terms @ coefficients) ** 2, axis=0) / (len(stamps) - 3) + BEST_POSITION_ACCURACY**2
     variances = np.diag(np.linalg.inv(terms.T @ terms))
     return coefficients[:2], variances[:2, None] * noise
 

@@ -8,10 +8,10 @@ from math import tau
 import numpy as np
 
 from geomid_ros.model.samples import REST_SPEED
-from geomid_ros.signals.arrived import missing_joint, plausible, without_refusal
 from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.effort_quality import EffortFaultDetector, SaturationDetector
 from geomid_ros.signals.ledger import Reason, driver_error
+from geomid_ros.signals.message_batch import missing_joint, plausible, without_refusal
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 

@@ -69,7 +69,7 @@ class Block:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Accepted:
+class AcceptedMessages:
     """N accepted messages of a topic: stamps [ns] and checked numbers in the robot's order, read-only.
 
     ``stamps (N,)``; ``values (N, numbers)`` are positions, velocities and efforts of all joints, concatenated (for
@@ -87,18 +87,18 @@ class Accepted:
     def __len__(self) -> int:
         return len(self.stamps)
 
-    def since(self, stamp: int) -> Accepted:
+    def since(self, stamp: int) -> AcceptedMessages:
         """Return the messages with this stamp [ns] or later ones."""
         return self.after(int(np.searchsorted(self.stamps, stamp)))
 
-    def before(self, stamp: int) -> Accepted:
+    def before(self, stamp: int) -> AcceptedMessages:
         """Return the messages with earlier stamps [ns]."""
         count = int(np.searchsorted(self.stamps, stamp))
-        return Accepted(self.topic, self.stamps[:count], self.values[:count])
+        return AcceptedMessages(self.topic, self.stamps[:count], self.values[:count])
 
-    def after(self, count: int) -> Accepted:
+    def after(self, count: int) -> AcceptedMessages:
         """Return the messages after the first ``count``."""
-        return Accepted(self.topic, self.stamps[count:], self.values[count:])
+        return AcceptedMessages(self.topic, self.stamps[count:], self.values[count:])
 
 
 class Recent:
@@ -110,11 +110,11 @@ class Recent:
     def __init__(self, seconds: float) -> None:
         self._lock = threading.RLock()
         self._nanoseconds = round(seconds * 1e9)
-        self._entries: deque[Accepted] = deque()
+        self._entries: deque[AcceptedMessages] = deque()
         self._bytes = 0
         self._last: dict[str, int] = {}
 
-    def __call__(self, accepted: Accepted) -> None:
+    def __call__(self, accepted: AcceptedMessages) -> None:
         """Remember messages."""
         topic, newest = accepted.topic, int(accepted.stamps[-1])
         with self._lock:
@@ -126,7 +126,7 @@ class Recent:
             while self._entries and (self._bytes > MOST_WAITING_BYTES or self._is_old(self._entries[0], newest)):
                 self._bytes -= _size(self._entries.popleft())
 
-    def _is_old(self, accepted: Accepted, newest: int) -> bool:
+    def _is_old(self, accepted: AcceptedMessages, newest: int) -> bool:
         return bool(accepted.stamps[-1] <= newest - self._nanoseconds)
 
     def clear(self) -> None:
@@ -136,14 +136,14 @@ class Recent:
             self._last.clear()
             self._bytes = 0
 
-    def entries(self) -> list[Accepted]:
+    def entries(self) -> list[AcceptedMessages]:
         """Return all remembered messages, in their order of arrival."""
         with self._lock:
             begin = max(self._last.values(), default=0) - self._nanoseconds + 1
             return [recent for entry in self._entries if len(recent := entry.since(begin))]
 
 
-def _size(accepted: Accepted) -> int:
+def _size(accepted: AcceptedMessages) -> int:
     return accepted.values.nbytes + accepted.stamps.nbytes + BYTES_BESIDE_NUMBERS
 
 

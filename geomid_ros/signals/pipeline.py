@@ -18,26 +18,26 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.columns import Column
-from geomid_ros.model.controller import Controller
+from geomid_ros.model.controller import PDController
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.admission import Gate, ReorderBuffer, Source
-from geomid_ros.signals.arrived import (
+from geomid_ros.signals.joint_gate import JointGate
+from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_state_merger import SILENT, JointStateMerger, Part
+from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.message_batch import (
     NO_STAMP,
     NOT_VALID,
     MessageBatch,
     commands,
-    inertial,
+    imu_readings,
     poses,
     without_refusal,
     wrenches,
 )
-from geomid_ros.signals.joint_gate import JointGate
-from geomid_ros.signals.joint_messages import JointReader, RejectedError
-from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
-from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, Block, Message
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages, Block, Message
 from geomid_ros.signals.moving_base import Stance
+from geomid_ros.signals.reorder_buffer import Gate, ReorderBuffer, Source
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import MOST_WAITING, SignalSettings
 from geomid_ros.types import AnyArray, FloatArray
@@ -65,12 +65,12 @@ class SignalPipeline:
         turning: Sequence[str] = (),
         limits: FloatArray | None = None,
         effect_columns: tuple[Column, ...] = (),
-        on_accepted: Callable[[Accepted], None] = ignore,
+        on_accepted: Callable[[AcceptedMessages], None] = ignore,
         ledger: Ledger | None = None,
-        joints_heard: set[str] | None = None,
+        received_joints: set[str] | None = None,
         mount: ImuMount | None = None,
         loads: Callable[[Samples], FloatArray] | None = None,
-        controller: Controller | None = None,
+        controller: PDController | None = None,
     ) -> None:
         """
         Args:
@@ -85,7 +85,7 @@ class SignalPipeline:
             effect_columns: columns of effects that samples contain (:attr:`MeasurementModel.columns`).
             on_accepted: called with all accepted messages, in the form that :meth:`push_accepted` takes.
             ledger: counts all messages.
-            joints_heard: set to which the names of joints in messages are added.
+            received_joints: set to which the names of joints in messages are added.
             mount: of the IMU on a floating base, whose messages come on IMU.
             controller: of the joints: efforts are those of commands, which come on COMMANDS.
             loads: of the feet, whose stance samples contain; see :class:`~geomid_ros.signals.moving_base.Stance`.
@@ -105,11 +105,11 @@ class SignalPipeline:
         self._turning = np.array([joint in turning for joint in self._joints], dtype=bool)
         self._limits = np.full((2, len(self._joints)), np.inf) if limits is None else limits
         self.ledger = ledger or Ledger()
-        self.joints_heard = set() if joints_heard is None else joints_heard
+        self.received_joints = set() if received_joints is None else received_joints
         self._on_accepted, self._commanded = on_accepted, controller is not None
         resolved = round(0.5e9 / settings.cutoff)
         note = partial(self.ledger.note, JOINT_STATES)
-        self._parts = JointParts(self._joints, self._max_gap, resolved, self._new_reader, note, settings.merge)
+        self._parts = JointStateMerger(self._joints, self._max_gap, resolved, self._new_reader, note, settings.merge)
         self._admission = ReorderBuffer(self._new_gate, self.ledger.note)
         self._arrived = 0  # number of messages
         self._open: Counter[str] = Counter()  # messages that are not yet accounted for
@@ -143,7 +143,7 @@ class SignalPipeline:
         return self._sampler.lag
 
     @property
-    def held(self) -> int:
+    def waiting_count(self) -> int:
         """Number of messages that wait for later ones to decide."""
         return sum(list(self._open.values()))
 
@@ -188,7 +188,7 @@ class SignalPipeline:
             yield
         except Exception as error:
             self._joined.clear()
-            held = self._admission.held
+            held = self._admission.waiting_counts
             for topic, count in (self._open - held).items():
                 self.ledger.drop(topic, f"{type(error).__name__} while taking a message", count)
             self._open = held
@@ -202,8 +202,8 @@ class SignalPipeline:
         """Read the messages, each by itself, grouped by source."""
         groups: dict[Source, list[MessageBatch]] = {}
         for block in blocks:
-            if block.topic == JOINT_STATES and len(self.joints_heard) < MOST_WAITING:
-                self.joints_heard.update(block.names)
+            if block.topic == JOINT_STATES and len(self.received_joints) < MOST_WAITING:
+                self.received_joints.update(block.names)
             try:
                 source = block.topic, self._part(block)
             except RejectedError as error:
@@ -228,7 +228,7 @@ class SignalPipeline:
         if block.topic == ODOM:
             return poses(block)
         if block.topic == IMU:
-            return inertial(block)
+            return imu_readings(block)
         if block.topic not in self._sensors:
             raise unknown_name("wrench topic", block.topic, self._sensors)
         return wrenches(block, self._sensors[block.topic])
@@ -236,7 +236,7 @@ class SignalPipeline:
     def _use(self, source: Source, arrived: MessageBatch) -> None:
         """Use the messages that neither their gate nor their reader refuses."""
         topic, part = source
-        good, reasons = arrived.good, list[str]()
+        good, reasons = arrived.is_usable, list[str]()
         if not good.all():
             reasons += arrived.refusals[~good].tolist()
             arrived = arrived.select(good)
@@ -253,7 +253,7 @@ class SignalPipeline:
             if topic == JOINT_STATES and self._parts.merges:
                 self._joined += zip(order.tolist(), repeat(part), stamps.tolist(), values)
             else:
-                self._accept(Accepted(topic, stamps, values))
+                self._accept(AcceptedMessages(topic, stamps, values))
             self.ledger.accept(topic, len(stamps))
             self._open[topic] -= len(stamps)
 
@@ -263,13 +263,13 @@ class SignalPipeline:
         self._joined.clear()
         joined = [complete for _, part, stamp, row in rows for complete in self._parts.add(part, stamp, row)]
         if joined:
-            self._accept(Accepted(JOINT_STATES, *map(np.array, zip(*joined, strict=True))))
+            self._accept(AcceptedMessages(JOINT_STATES, *map(np.array, zip(*joined, strict=True))))
 
-    def _accept(self, accepted: Accepted) -> None:
+    def _accept(self, accepted: AcceptedMessages) -> None:
         self._on_accepted(accepted)
         self._sampler.add(accepted)
 
-    def push_accepted(self, accepted: Accepted) -> None:
+    def push_accepted(self, accepted: AcceptedMessages) -> None:
         """Take messages that another pipeline for the same robot accepted, in the same order."""
         self._sampler.add(accepted)
         self.ledger.accept(accepted.topic, len(accepted))

@@ -11,15 +11,15 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.columns import Column, Entries, PlacedColumn
-from geomid_ros.model.controller import Controller
+from geomid_ros.model.controller import PDController
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import SAMPLES_PER_PIECE, Samples
 from geomid_ros.signals.clocks import FEWEST, FEWEST_IN_BURSTS, RegularClock, VelocityCheck, in_bursts
 from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, driver_error
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages
 from geomid_ros.signals.moving_base import ImuSegment
-from geomid_ros.signals.settings import HORIZON, MOST_WAITING, PERIOD_ROUNDING, SignalSettings
+from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MOST_WAITING, PERIOD_ROUNDING, SignalSettings
 from geomid_ros.signals.streams import Grid, HeldSegment, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.types import BoolArray, IntArray
 
@@ -47,7 +47,7 @@ class Sampler:
         effect_columns: tuple[Column, ...],
         ledger: Ledger,
         mount: ImuMount | None = None,
-        controller: Controller | None = None,
+        controller: PDController | None = None,
     ) -> None:
         """
         Args:
@@ -73,7 +73,7 @@ class Sampler:
         self._watched = np.zeros(0, dtype=np.int64)  # stamps of the last joint messages
         self._grid: Grid | None = None
         self._streams: dict[str, Stream[Any]] = {}
-        self._waiting: deque[Accepted] = deque()
+        self._waiting: deque[AcceptedMessages] = deque()
         self._newest: dict[str, int] = {}  # newest stamp of each topic
         self._next_instant = 0
         self._pending: list[Samples] = []
@@ -85,7 +85,7 @@ class Sampler:
         """Time [s] by which samples trail the newest message; 0 until the rate is known."""
         return self._grid.lag * self._grid.period * 1e-9 if self._grid is not None else 0.0
 
-    def add(self, accepted: Accepted) -> None:
+    def add(self, accepted: AcceptedMessages) -> None:
         """Take messages that are later than the last ones of their topic. Raises InputError if the cutoff is too high
         for the rate."""
         if self._grid is None:
@@ -102,7 +102,7 @@ class Sampler:
         if self._grid is not None:
             self._open_streams(self._grid)
 
-    def _wait(self, accepted: Accepted) -> None:
+    def _wait(self, accepted: AcceptedMessages) -> None:
         """Keep messages that arrive before the period is known."""
         self._waiting.append(accepted)
         self._give_up(sum(map(len, self._waiting)) - MOST_WAITING, "no joint states to go with")
@@ -130,7 +130,7 @@ class Sampler:
 
     def _give_up(self, count: int, reason: str, topic: str = "") -> None:
         """Drop the first waiting messages, of all topics or of one."""
-        skipped = list[Accepted]()
+        skipped = list[AcceptedMessages]()
         while count > 0:
             oldest = self._waiting.popleft()
             dropped = min(count, len(oldest)) if topic in ("", oldest.topic) else 0
@@ -141,7 +141,7 @@ class Sampler:
                 skipped.append(oldest.after(dropped))
         self._waiting.extendleft(reversed(skipped))
 
-    def _take(self, accepted: Accepted) -> None:
+    def _take(self, accepted: AcceptedMessages) -> None:
         stamps, values = accepted.stamps, accepted.values
         if self._clock is not None and accepted.topic == JOINT_STATES:
             stamps = self._clock.times(stamps)
@@ -225,7 +225,7 @@ class Sampler:
                 break
         for name, newest in self._newest.items():
             if grid is not None:
-                oldest = (newest - HORIZON) // grid.period - grid.lag
+                oldest = (newest - LONGEST_TOPIC_LAG) // grid.period - grid.lag
                 self._streams[name].forget(oldest)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:

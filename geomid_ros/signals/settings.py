@@ -14,13 +14,13 @@ from geomid_ros.types import FloatArray
 
 # Physical limits.
 LARGEST_NUMBER = 1e9  # In SI units; no robot measures more
-FASTEST = tau  # [rad/s, m/s] Higher speed limits are taken for placeholders, which many URDFs have
-FINEST = 1e-6  # [rad, m] Best accuracy of a position
+LARGEST_SPEED_LIMIT = tau  # [rad/s, m/s] Higher speed limits are taken for placeholders, which many URDFs have
+BEST_POSITION_ACCURACY = 1e-6  # [rad, m] Best accuracy of a position
 SHORTEST_CONTACT = 33e-3  # [s] A collision of 40 ms exceeds a quarter of its peak for so long
 LONGEST_SAME = 0.05  # [s] The effort of a moving joint is rarely constant for longer
 LONGEST_DELAY = 1.0  # [s] of efforts
 ACCELEROMETER_BIAS = 0.03  # [m/s^2] Standard deviation of the bias between starts
-CLEAR = 4.0  # times as large as usual: a step or change that is clearly larger
+CLEAR_RATIO = 4.0  # times as large as usual: a step or change that is clearly larger
 
 # Tolerances of arithmetic.
 PERIOD_ROUNDING = 10_000  # [ns] to which an inferred grid period is rounded; none is shorter
@@ -30,9 +30,11 @@ MEAN_STEPS = 4  # largest number of iterations to the mean of poses
 MEAN_TOLERANCE = 1e-12  # norm at which they end
 
 # Bounds against abuse: the sender decides how much comes.
-PATIENCE = 1000  # messages of all topics, after which a suspicious one is decided without more of its topic
+MESSAGES_UNTIL_DECISION = (
+    1000  # messages of all topics, after which a suspicious one is decided without more of its topic
+)
 MOST_WAITING = 10_000  # messages kept until the period is known or while a publisher is silent; joint names
-HORIZON = 60_000_000_000  # [ns] A topic that is this far behind is not waited for
+LONGEST_TOPIC_LAG = 60_000_000_000  # [ns] A topic that is this far behind is not waited for
 MOST_KINDS = 50  # remembered message layouts, and reasons of a topic
 LONGEST_REASON = 200  # [characters]
 MOST_WAITING_BYTES = 100_000_000  # of waiting or remembered messages or rows

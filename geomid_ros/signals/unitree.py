@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.controller import Controller
+from geomid_ros.model.controller import PDController
 from geomid_ros.signals.decoding import LITTLE_ENDIAN, Raw
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES
 from geomid_ros.types import FloatArray
@@ -51,7 +51,7 @@ class UnitreeMessages:
 
     motors: Sequence[str]
     joints: Sequence[str]
-    controller: Controller | None
+    controller: PDController | None
     source: str
     _state: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
 

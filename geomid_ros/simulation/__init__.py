@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from geomid_ros.simulation.effects.choice import SIZES
+from geomid_ros.simulation.effects.effect_sizes import SIZES
 from geomid_ros.simulation.options import LINK_MASS, MOTIONS, NOTHING, Hidden, SimulationOptions, parse_hidden
 from geomid_ros.simulation.robots import WRIST_FRAME, robot_names
 

@@ -130,7 +130,7 @@ class Plant(Simulator):
     ) -> None:
         effects = tuple(effects)
         self._mujoco = load_mujoco()
-        self._model = compiled(self._mujoco, description, bodies, effects, wrench_frame)
+        self._model = compile_model(self._mujoco, description, bodies, effects, wrench_frame)
         self._data = data = self._mujoco.MjData(self._model)
         # Looked up once, because a run computes a hundred thousand accelerations.
         self._state, self._accelerations = (data.qpos, data.qvel, data.ctrl), data.qacc
@@ -193,7 +193,7 @@ _FRICTION_TIME = 0.004
 _SENSOR = "wrench"
 
 
-def compiled(
+def compile_model(
     mujoco: Any,
     description: Description,
     bodies: Iterable[LinkInertia],

@@ -71,7 +71,7 @@ def simulate(
     gains = companion_path(bag, "controller.yaml") if options.commands else None
     refuse_existing(bag, truth, gains)
     robot = build_realistic(options) if options.realistic else build_robot(options, builder)
-    loop = closed_loop(robot, options)
+    loop = control_loop(robot, options)
     true_trace = record(robot, loop, options, progress)
     trace = robot.published(true_trace, options)
     order = generator(options.seed, RandomStream.ORDER).permutation(len(robot.joints))
@@ -95,7 +95,7 @@ def refuse_existing(*paths: Path | None) -> None:
             raise InputError(f"{path} exists already. Choose another name or delete it first.")
 
 
-def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ControlLoop:
+def control_loop(robot: TrueRobot, options: SimulationOptions) -> ControlLoop:
     """Put the robot under a controller that knows only the nominal model."""
     half_steps = np.arange(2 * sampling(robot, options).steps + 1, dtype=np.float64)
     numbers = generator(options.recording_seed, RandomStream.MOTION)

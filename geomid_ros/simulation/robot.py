@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, perturbed, read_description
-from geomid_ros.simulation.effects.choice import chosen_effects
+from geomid_ros.simulation.effects.effect_sizes import chosen_effects
 from geomid_ros.simulation.effects.physics import TrueEffect, noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace, SetPoints
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator

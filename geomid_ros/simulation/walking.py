@@ -179,7 +179,7 @@ def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
     refuse_existing(out, truth)
     robot = read_description(robot_description(options.robot))
     bodies = true_bodies(robot, options)
-    trace = measured(walk(robot, bodies, options), options)
+    trace = with_sensor_noise(walk(robot, bodies, options), options)
     write_walk(out, trace, [joint.name for joint in robot.joints], robot.text, options.imu)
     document = {"links": [link_entry(body, True) for body in bodies], "options": asdict(options)}
     truth.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
@@ -235,7 +235,7 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
     return WalkTrace(**dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)))
 
 
-def measured(trace: WalkTrace, options: WalkOptions) -> WalkTrace:
+def with_sensor_noise(trace: WalkTrace, options: WalkOptions) -> WalkTrace:
     """Add the sensors' noise and biases to a trace."""
     numbers = generator(options.recording_seed, RandomStream.NOISE)
 

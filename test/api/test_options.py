@@ -76,7 +76,7 @@ def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
     gains, gravity = [2.0, "joint2=0.5"], (0.0, 0.0, -9.8)
     chosen = RobotOptions(config=config, cutoff=8.0, gravity=gravity, gain=gains, lock="joint3", merge=True)
     found = configuration(chosen, floating_base=True)
-    assert found.given == {
+    assert found.given_values == {
         "filter.cutoff": 8.0,
         "gravity": [0.0, 0.0, -9.8],
         "effort_gain": 2.0,

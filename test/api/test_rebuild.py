@@ -12,7 +12,7 @@ from files.recordings import BAGS
 from report.pages import Page
 
 import geomid_ros
-from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import CauseEntry
 from geomid_ros.files.schema import from_document
@@ -123,6 +123,10 @@ def test_the_page_needs_no_other_file_than_the_estimate(identified: Path, tmp_pa
 def test_doubts_are_said_again_as_they_were() -> None:
     """Sure, suspected, and with rivals."""
     signs, units = Cause(kind="signs", sentence="signs are reversed"), Cause(kind="units", sentence="in mN m")
-    findings = [Finding(cause=signs), Finding(cause=units, sure=False), Finding(cause=signs, rivals=(units,))]
+    findings = [
+        RecordingFault(cause=signs),
+        RecordingFault(cause=units, sure=False),
+        RecordingFault(cause=signs, rivals=(units,)),
+    ]
     written = json.loads(json.dumps(causes_entry(findings)))
     assert [from_document(CauseEntry, own, "gap.json:").doubt for own in written] == [own.sentence for own in findings]

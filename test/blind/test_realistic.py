@@ -18,7 +18,7 @@ from benchmarks.blind.realistic.sizing import LEAST, MOST, sized
 from geomid_ros.simulation import Hidden, SimulationOptions
 from geomid_ros.simulation.effects.physics import noiseless_measurement
 from geomid_ros.simulation.realistic import build_realistic
-from geomid_ros.simulation.recording import closed_loop, record
+from geomid_ros.simulation.recording import control_loop, record
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
@@ -56,7 +56,7 @@ def test_a_change_lies_between_three_and_ten_floors() -> None:
 def before_noise(options: SimulationOptions) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Measured efforts, rows of pinocchio's regressor, and the floor."""
     robot = build_realistic(options)
-    trace = record(robot, closed_loop(robot, options), options)
+    trace = record(robot, control_loop(robot, options), options)
     model = pin.buildModelFromXML(robot_description(options.robot))
     data = model.createData()
     states = list(zip(trace.position, trace.velocity, trace.acceleration, strict=True))[::6]

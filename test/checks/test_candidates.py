@@ -10,16 +10,16 @@ import pytest
 from checks.test_efforts import case
 from geomid_ros.checks.candidates import (
     PROBABLE,
-    Candidate,
     CandidateFit,
     CandidateTest,
+    FaultCandidate,
     contradicted,
     decide,
     probabilities,
 )
 from geomid_ros.checks.causes import Cause
-from geomid_ros.checks.instants import FEWEST
-from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.effort_data import EffortData
+from geomid_ros.checks.sample_reservoir import FEWEST
 
 
 @pytest.mark.parametrize("count", [1, 20, 300])
@@ -39,29 +39,30 @@ def test_the_more_causes_are_tried_the_more_one_has_to_explain() -> None:
 COUNT = 100
 
 
-def subject() -> Subject:
+def subject() -> EffortData:
     """Seven joints, of which the last one hardly carries anything, and noise at each."""
     seven = case("arm7", 1)
     samples = seven.samples.select(slice(None, None, 10))
-    every = Subject.of_all(seven.model.robot, samples)
+    every = EffortData.of_all(seven.model.robot, samples)
     noise = np.random.default_rng(0).normal(size=every.measured.shape)
     return every.with_efforts(every.measured + 0.5 * every.measured_std * noise)
 
 
-def tried(of: Subject, better: Sequence[float], places: Sequence[int], first: float = 1.0) -> CandidateTest:
+def tried(of: EffortData, better: Sequence[float], places: Sequence[int], first: float = 1.0) -> CandidateTest:
     """A cause by which each joint is so much better explained, in the first part of the recording by a factor."""
     begin = of.samples.stamps[0]
 
-    def undo(part: Subject) -> CandidateFit:
+    def undo(part: EffortData) -> CandidateFit:
         gain = np.sum(better) * (
             first if part.samples.stamps[0] == begin and len(part.samples) < len(of.samples) else 1.0
         )
         return CandidateFit(
-            log=part.nominal.log + gain * len(part.samples), sigmas=part.nominal.sigmas * np.exp(-np.array(better))
+            log_evidence=part.nominal.log_evidence + gain * len(part.samples),
+            sigmas=part.nominal.sigmas * np.exp(-np.array(better)),
         )
 
     cause = Cause(kind="cause", sentence="it is this", places=tuple(of.names[place] for place in places))
-    return CandidateTest.of(Candidate(cause=cause, concerned=range(len(of.joints)), undo=undo), of)
+    return CandidateTest.of(FaultCandidate(cause=cause, channels=range(len(of.joints)), fit_corrected=undo), of)
 
 
 def test_what_explains_one_joint_worse_is_no_name_but_something_is_wrong() -> None:
@@ -75,25 +76,25 @@ def test_what_explains_one_joint_worse_is_no_name_but_something_is_wrong() -> No
         decision = decide([tried(of, better, [1])], COUNT, of.nominal)
         assert (decision.finding is not None) == named
         if not named:
-            (finding,) = contradicted(decision.doubted, COUNT)
+            (finding,) = contradicted(decision.unconfirmed, COUNT)
             assert (finding.cause.kind, finding.cause.places) == ("unexplained", (of.names[1],))
             assert finding.cause.sentence.endswith("What comes nearest: it is this")
 
 
 def test_a_joint_that_hardly_carries_anything_says_nothing_of_the_robot() -> None:
     of = subject()
-    assert of.counts[1]
-    assert not of.counts[-1]
+    assert of.has_large_efforts[1]
+    assert not of.has_large_efforts[-1]
     decision = decide([tried(of, [0.0, -0.2, *[0.0] * 4, 1.0], [6])], COUNT, of.nominal)
-    assert len(decision.doubted) == 1
-    assert contradicted(decision.doubted, COUNT) == ()
+    assert len(decision.unconfirmed) == 1
+    assert contradicted(decision.unconfirmed, COUNT) == ()
 
 
 def test_what_one_half_contradicts_says_nothing() -> None:
     of = subject()
     decision = decide([tried(of, [0.0, 1.0, *[0.0] * 5], [1], first=-1.0)], COUNT, of.nominal)
-    assert len(decision.doubted) == 1
-    assert contradicted(decision.doubted, COUNT) == ()
+    assert len(decision.unconfirmed) == 1
+    assert contradicted(decision.unconfirmed, COUNT) == ()
 
 
 def test_of_a_joint_that_a_doubted_cause_is_about_nothing_is_named() -> None:
@@ -114,5 +115,5 @@ def test_what_is_hidden_still_says_that_something_is_wrong() -> None:
     small, hidden = tried(of, [0.0, -0.3, *[0.0] * 4, 2.0], [6]), tried(of, [0.0, 1.0, *[0.0] * 5], [1, 6])
     decision = decide([small, hidden], COUNT, of.nominal)
     assert decision.finding is None
-    (finding,) = contradicted(decision.doubted, COUNT)
+    (finding,) = contradicted(decision.unconfirmed, COUNT)
     assert finding.cause.places == (of.names[1],)

@@ -11,8 +11,8 @@ import pytest
 from estimation.arms import ALL_EFFECTS, Case, Truth, arm, efforts, motion, samples
 from scipy.signal import filtfilt, firwin
 
-from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.check import JudgementTask, RecordingCheck
+from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -20,8 +20,8 @@ SECONDS, CHANGE = 24.0, 9.0
 ROBOTS = [("arm3", 11), ("arm7", 12)]
 
 
-def findings(of: Case, recorded: Samples) -> tuple[Finding, ...]:
-    check = RecordingCheck(JudgementTask(of.model, np.ones(len(of.model.robot.joints)), {}))
+def findings(of: Case, recorded: Samples) -> tuple[RecordingFault, ...]:
+    check = RecordingCheck(CheckTask(of.model, np.ones(len(of.model.robot.joints)), {}))
     for begin in range(0, len(recorded), 300):
         check.add(recorded.select(slice(begin, begin + 300)))
     return check.findings()
@@ -146,7 +146,7 @@ def test_efforts_of_the_urdf_itself_are_remarked_on(robot: Case) -> None:
     """A simulation of it may be meant, so it is no doubt; a real robot has friction."""
     urdf = Truth(np.array([body.parameters for body in robot.model.robot.bodies]), {})
     for true, remarks in ((urdf, 1), (robot.true, 0)):
-        check = RecordingCheck(JudgementTask(robot.model, np.ones(len(robot.model.robot.joints)), {}))
+        check = RecordingCheck(CheckTask(robot.model, np.ones(len(robot.model.robot.joints)), {}))
         feels = efforts(robot.model.robot, true, robot.samples)  # type: ignore[arg-type]  # it has the motion's names
         check.add(replace(robot.samples, effort=feels))
         assert check.findings() == ()

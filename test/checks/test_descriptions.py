@@ -11,7 +11,7 @@ from estimation.arms import motion as moving
 from estimation.arms import samples, shipped, truth
 
 from checks.test_efforts import named
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from estimation.arms import Case, Motion, arm, efforts, motion, samples, shipped, truth
 
-from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.check import JudgementTask, RecordingCheck
+from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.efforts import _without_sign
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -32,7 +32,7 @@ def case(name: str, seed: int) -> Case:
 
 def checked(model: MeasurementModel, recorded: Samples, gains: FloatArray | None = None) -> RecordingCheck:
     """A check that was told of a recording in pieces."""
-    check = RecordingCheck(JudgementTask(model, np.ones(len(model.robot.joints)) if gains is None else gains, {}))
+    check = RecordingCheck(CheckTask(model, np.ones(len(model.robot.joints)) if gains is None else gains, {}))
     for begin in range(0, len(recorded), 300):
         check.add(recorded.select(slice(begin, begin + 300)))
     return check
@@ -43,7 +43,7 @@ def test_a_recording_is_due_again_once_it_is_twice_as_long() -> None:
     apart = -(-110_000_000 // int(of.samples.stamps[1] - of.samples.stamps[0]))
     recorded = of.samples.select(slice(None, None, apart))  # all of them are kept
     assert len(recorded) >= 90
-    check = RecordingCheck(JudgementTask(of.model, np.ones(len(of.model.robot.joints)), {}))
+    check = RecordingCheck(CheckTask(of.model, np.ones(len(of.model.robot.joints)), {}))
     due = []
     for index in range(90):
         check.add(recorded.select(slice(index, index + 1)))
@@ -53,7 +53,7 @@ def test_a_recording_is_due_again_once_it_is_twice_as_long() -> None:
     assert due == [30, 61]
 
 
-def findings(model: MeasurementModel, recorded: Samples, gains: FloatArray | None = None) -> tuple[Finding, ...]:
+def findings(model: MeasurementModel, recorded: Samples, gains: FloatArray | None = None) -> tuple[RecordingFault, ...]:
     """What it says."""
     return checked(model, recorded, gains).findings()
 

@@ -9,7 +9,7 @@ import pytest
 from estimation.arms import Case, Motion, efforts, motion, samples
 
 from checks.test_efforts import ROBOTS, case, findings, named
-from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -101,10 +101,10 @@ def test_a_robot_that_stands_still_in_one_half_is_judged_by_what_moves() -> None
         effort=still.effort + 1e-3 * np.random.default_rng(0).normal(size=still.effort.shape),
     )
     recorded = Samples.concatenate([still, own])
-    subject = Subject.of_all(seven.model.robot, recorded)
-    halves = [np.count_nonzero(part.is_moving) for part in subject.parts()]
+    subject = EffortData.of_all(seven.model.robot, recorded)
+    halves = [np.count_nonzero(part.is_moving) for part in subject.split()]
     assert halves[0] == pytest.approx(halves[1], abs=1.0)
-    assert len(subject.parts()[0].samples) > 2 * len(own)
+    assert len(subject.split()[0].samples) > 2 * len(own)
     assert findings(seven.model, recorded) == ()
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from geomid_ros.checks import flexible
+from geomid_ros.checks import baseline_fit
 from geomid_ros.checks.evidence import FRICTION, Evidence, Unknowns, evidence
 from geomid_ros.types import FloatArray
 
@@ -38,8 +38,8 @@ def test_instants_that_do_not_count_are_as_if_they_were_not_there() -> None:
     unknowns = Unknowns.of(by_instant[:, :, :LINKS], by_instant[:, :, LINKS:])
     some = evidence(targets.T, unknowns, tolerated, counted=counted)
     fewer = found(columns[:, :30], targets[:, :30], tolerated)
-    assert some.log == pytest.approx(fewer.log)
-    assert some.links == pytest.approx(fewer.links)
+    assert some.log_evidence == pytest.approx(fewer.log_evidence)
+    assert some.link_errors == pytest.approx(fewer.link_errors)
 
 
 def test_by_channel_unknowns_are_those_of_all_columns() -> None:
@@ -53,7 +53,7 @@ def test_by_channel_unknowns_are_those_of_all_columns() -> None:
         np.array([0.5, 3.0]),
         rng.random((INSTANTS, CHANNELS)),
     )
-    unknowns = Unknowns.of(links, own).with_separate(other).with_errors(more).times(weights).part(slice(10, None))
+    unknowns = Unknowns.of(links, own).with_separate(other).with_errors(more).times(weights).select(slice(10, None))
     every = np.concatenate([links, more], axis=2)
     errors = rng.normal(size=LINKS + 2)
     assert unknowns.link_efforts(errors) == pytest.approx((weights * (every @ errors))[10:])
@@ -78,7 +78,7 @@ def test_it_is_the_density_of_all_targets_together() -> None:
     spread = np.concatenate([np.ones(LINKS), tolerated.ravel()])
     covariance = (every * spread**2) @ every.T + np.diag(np.repeat(result.sigmas**2, INSTANTS))
     expected = multivariate_normal(np.zeros(len(every)), covariance).logpdf(targets.ravel())
-    assert result.log == pytest.approx(expected, abs=SETTLED * abs(expected))
+    assert result.log_evidence == pytest.approx(expected, abs=SETTLED * abs(expected))
 
 
 def test_the_links_are_as_unsure_as_the_normal_equations_say() -> None:
@@ -108,7 +108,7 @@ def test_friction_of_the_wrong_sign_stays_at_zero() -> None:
 
     bounds = [(None, None)] * LINKS + [(None, None), *[(0.0, None)] * (FRICTION - 1)] * CHANNELS
     best = minimize(cost, np.zeros(LINKS + FRICTION * CHANNELS), bounds=bounds, options={"ftol": 1e-14, "gtol": 1e-9})
-    assert result.links == pytest.approx(best.x[:LINKS], abs=2e-3)
+    assert result.link_errors == pytest.approx(best.x[:LINKS], abs=2e-3)
 
 
 def test_what_is_always_the_same_but_for_rounding_has_no_curves() -> None:
@@ -116,7 +116,7 @@ def test_what_is_always_the_same_but_for_rounding_has_no_curves() -> None:
     moving = np.sin(np.linspace(0.0, 9.0, 64))
     still, friction = np.full(64, 0.25), np.zeros((64, 2, 3))
     friction[:, 0, 1], friction[:, 1, 1:] = 2.0**-50, np.stack([moving, np.sign(moving)], axis=1)
-    curves = flexible._curves(np.stack([still, moving], 1), friction, np.stack([still, moving], 1))
+    curves = baseline_fit._curves(np.stack([still, moving], 1), friction, np.stack([still, moving], 1))
     assert not np.any(np.ptp(curves[:, 0], axis=0))
     assert np.all(np.isfinite(curves))
     assert np.any(curves[:, 1])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from files.recordings import BAGS
 
-from geomid_ros.checks.wrenches import FirstForces
+from geomid_ros.checks.wrench_sensors import FirstForces
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from estimation.arms import motion, samples
 
-from geomid_ros.checks.instants import STEP, RecentMotion, SampleReservoir
+from geomid_ros.checks.sample_reservoir import STEP, RecentMotion, SampleReservoir
 from geomid_ros.model.samples import Samples
 
 RATE = 100.0

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from estimation.arms import motion, samples
 
-from geomid_ros.checks import flexible, subject
-from geomid_ros.checks.check import judge_efforts
-from geomid_ros.checks.instants import FEWEST, KeptSamples
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.checks.recording_check import judge_efforts
+from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 
 
@@ -50,7 +49,7 @@ def fits(monkeypatch: pytest.MonkeyPatch, joints: int) -> tuple[int, list[tuple[
         return one
 
     with monkeypatch.context() as patch:
-        for module in (subject, flexible):
+        for module in (effort_data, baseline_fit):
             patch.setattr(module, "evidence", counted(module.evidence))
         kept = KeptSamples(measured, measured, np.zeros(len(measured), dtype=np.int64))
         found = judge_efforts(MeasurementModel(robot, ()), kept, np.ones(joints)).findings

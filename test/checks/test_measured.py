@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from benchmarks.measured_data import DATA
-from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.session.configuration import Configuration
@@ -37,14 +37,14 @@ SOUND = {
 
 
 @cache
-def found(urdf: str, bag: str, settings: tuple[tuple[str, Any], ...]) -> tuple[Finding, ...]:
+def found(urdf: str, bag: str, settings: tuple[tuple[str, Any], ...]) -> tuple[RecordingFault, ...]:
     configuration = Configuration({key: list(v) if isinstance(v, tuple) else v for key, v in settings})
     session = Session(read_urdf(DATA / urdf), configuration, urdf)
     read_bags(session, Bags(fitted=[DATA / bag]), lambda _: None)
     return session.review.findings
 
 
-def findings(urdf: str, bag: str, settings: Mapping[str, Any]) -> tuple[Finding, ...]:
+def findings(urdf: str, bag: str, settings: Mapping[str, Any]) -> tuple[RecordingFault, ...]:
     frozen = tuple((key, tuple(v) if isinstance(v, list) else v) for key, v in settings.items())
     return found(urdf, bag, frozen)
 

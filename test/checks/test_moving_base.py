@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from model.robots import random_samples, urdf, with_values
 
-from geomid_ros.checks.check import Excerpt, Judgement, JudgementTask, RecordingCheck
 from geomid_ros.checks.moving_base import gyroscope, on_all_feet
+from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
 from geomid_ros.model.contacts import Contact, Legs
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -127,16 +127,16 @@ def test_what_is_kept_for_other_sensors_needs_no_feet() -> None:
     """Of a trot, in which a foot is always in the air."""
     seen = list[Excerpt]()
 
-    def judge(_: JudgementTask, excerpt: Excerpt) -> Judgement:
+    def judge(_: CheckTask, excerpt: Excerpt) -> CheckResult:
         seen.append(excerpt)
-        return Judgement()
+        return CheckResult()
 
     model = MeasurementModel(ROBOT, (), contacts=legs().contacts)
-    check = RecordingCheck(JudgementTask(model, np.ones(12), {}), judge)
+    check = RecordingCheck(CheckTask(model, np.ones(12), {}), judge)
     standing = np.ones((COUNT, 4), dtype=bool)
     standing[::8, 0] = False
     check.add(with_values(on_feet(TURNING, TURNING[:, 3:]), standing=standing))
     check.findings()
-    assert seen[0].standing is None
-    assert seen[0].stretch is not None
-    assert len(seen[0].stretch) > COUNT // 2
+    assert seen[0].recent_stance is None
+    assert seen[0].recent_motion is not None
+    assert len(seen[0].recent_motion) > COUNT // 2

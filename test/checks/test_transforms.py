@@ -13,7 +13,7 @@ from benchmarks.corruption.__main__ import judged
 from benchmarks.corruption.recording import ARM3, Recording
 from benchmarks.corruption.simulated import RAIL, simulated
 from checks.test_efforts import ROBOTS, case, checked, findings, named
-from geomid_ros.checks.check import JudgementTask, RecordingCheck
+from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
@@ -103,7 +103,7 @@ def test_what_one_of_two_recordings_shows_is_a_remark(robot: Case) -> None:
     moving = motion(np.random.default_rng(70), len(own.joints), 10.0)
     sound = samples(moving, efforts(own, robot.true, moving))
     wrong = replace(robot.samples, effort=np.where(np.arange(len(own.joints)) == 1, -1.0, 1.0) * robot.samples.effort)
-    check = RecordingCheck(JudgementTask(robot.model, np.ones(len(own.joints)), {}))
+    check = RecordingCheck(CheckTask(robot.model, np.ones(len(own.joints)), {}))
     for recorded in (wrong, sound):
         check.begin_recording()
         check.add(recorded)

@@ -13,8 +13,8 @@ from benchmarks.corruption.__main__ import identified, judged
 from benchmarks.corruption.faults import FAULTS
 from benchmarks.corruption.recording import SOURCES, Recording
 from checks.test_efforts import case, findings
-from geomid_ros.checks.causes import Finding
-from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.causes import RecordingFault
+from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.unexplained import MOST, badly_explained, hint, rms, unexplained
 from geomid_ros.signals.joint_gate import LEAP
 from geomid_ros.types import FloatArray
@@ -31,13 +31,13 @@ def residuals(shares: tuple[float, float, float]) -> FloatArray:
     return left * shares * VARIATION / np.sqrt(np.mean(left**2, axis=0))
 
 
-def told(left: FloatArray, units: tuple[str, ...] = ("N m",) * 3) -> tuple[Finding, ...]:
+def told(left: FloatArray, units: tuple[str, ...] = ("N m",) * 3) -> tuple[RecordingFault, ...]:
     return badly_explained(
         [*zip(NAMES, units, strict=True)], rms(left), VARIATION, lambda joint, share: f"look at {joint}, {share:.2f}"
     )
 
 
-def places(found: tuple[Finding, ...]) -> tuple[str, ...]:
+def places(found: tuple[RecordingFault, ...]) -> tuple[str, ...]:
     return tuple(place for finding in found for place in finding.cause.places)
 
 
@@ -81,7 +81,7 @@ def test_what_is_planted_beside_links_and_friction_is_the_hint(name: str) -> Non
         measured = own.effort.copy()
         measured[:, 1] += effort
         recorded = replace(own, effort=measured).select(slice(None, None, len(own) // INSTANTS + 1))
-        subject = Subject.of_all(of.model.robot, recorded)
+        subject = EffortData.of_all(of.model.robot, recorded)
         assert said in hint(subject, names[1], float(subject.nominal.sigmas[1]))
 
 
@@ -90,7 +90,7 @@ def test_what_a_model_without_friction_leaves_is_the_friction_s(name: str) -> No
     """Not what one leaves that has it, nor what is left of a coupling."""
     of = case(name, 1)
     samples = of.samples.select(slice(None, None, len(of.samples) // INSTANTS + 1))
-    subject = Subject.of_all(of.model.robot, samples)
+    subject = EffortData.of_all(of.model.robot, samples)
     spread, joint = 3.0 * subject.measured_std[1], subject.names[1]
     efforts = subject.measured + np.eye(len(subject.joints))[1] * spread * np.sign(samples.velocity[:, [1]])
     coupled = subject.measured + np.outer(4.0 * subject.measured[:, 2], np.eye(len(subject.joints))[1])

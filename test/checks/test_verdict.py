@@ -10,17 +10,17 @@ import pytest
 from estimation.arms import Case, arm
 from model.robots import urdf
 
-from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.verdict import Verdict, unlike, verdict, worse_channels
+from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.verdict import Verdict, poorly_predicted, verdict, worse_channels
 from geomid_ros.estimation.estimate import Estimate, WeighedEstimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.contacts import Contact
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
-FINDING = Finding(cause=Cause(kind="sign", sentence="all is reversed"), sure=False)
+FINDING = RecordingFault(cause=Cause(kind="sign", sentence="all is reversed"), sure=False)
 
 
 @cache
@@ -31,7 +31,7 @@ def solved() -> tuple[Case, Estimate]:
     return case, identifier.solve()
 
 
-def judged(estimate: Estimate, *findings: Finding) -> Verdict:
+def judged(estimate: Estimate, *findings: RecordingFault) -> Verdict:
     return verdict(estimate, findings, solved()[0].model)
 
 
@@ -79,7 +79,7 @@ def test_what_was_weighed_may_weigh_anything() -> None:
 
 def test_what_no_link_can_be_is_doubted() -> None:
     case, estimate = solved()
-    result = verdict(estimate, (), case.model, impossible=["link 'link2' is lead"])
+    result = verdict(estimate, (), case.model, implausible_links=["link 'link2' is lead"])
     assert (result.status, result.reasons) == (4, ("link 'link2' is lead",))
 
 
@@ -126,9 +126,9 @@ def test_what_is_within_the_scatter_of_blocks_is_not_told() -> None:
 def test_what_goes_on_otherwise_is_told() -> None:
     """Twice as bad is another motion; ten times is named, with the channel alone."""
     _, estimate = solved()
-    assert unlike(estimate, 2.0 * estimate.rms) == []
-    assert unlike(estimate, np.full(len(estimate.rms), np.nan)) == []
-    (sentence,) = unlike(estimate, np.where(np.arange(3) == 1, 10.0, 1.0) * estimate.rms)
+    assert poorly_predicted(estimate, 2.0 * estimate.rms) == []
+    assert poorly_predicted(estimate, np.full(len(estimate.rms), np.nan)) == []
+    (sentence,) = poorly_predicted(estimate, np.where(np.arange(3) == 1, 10.0, 1.0) * estimate.rms)
     assert f"'{estimate.channels[1]}' (10 times)" in sentence
     assert not any(f"'{estimate.channels[c]}'" in sentence for c in (0, 2))
     assert "--hold-out 0" in sentence

@@ -13,7 +13,7 @@ from files.recordings import BAGS
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.checks.causes import Cause
-from geomid_ros.checks.check import JudgementTask, RecordingCheck
+from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
@@ -38,7 +38,7 @@ def cause(change: Callable[[FloatArray], FloatArray]) -> Cause | None:
     """What is said of a sensor whose wrenches ``(N, 2, 3)``, force and torque, were changed."""
     session, samples = recorded()
     wrenches = change(samples.wrenches.reshape(-1, 2, 3).copy()).reshape(samples.wrenches.shape)
-    check = RecordingCheck(JudgementTask(session.model, np.ones(len(session.robot.joints)), {"/wrench": "wrist"}))
+    check = RecordingCheck(CheckTask(session.model, np.ones(len(session.robot.joints)), {"/wrench": "wrist"}))
     check.add(replace(samples, wrenches=wrenches))
     findings = check.findings()
     assert len(findings) <= 1

@@ -21,17 +21,17 @@ from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import FillOptions
 from geomid_ros.control.correction import (
     FASTEST,
+    LARGEST_DELAY_RATIO,
     LARGEST_SHARE,
-    LASTING,
-    LATER,
+    LONGEST_FAULT,
     MARGIN,
     Adaptation,
     Correction,
-    Latch,
+    FaultLatch,
     Reading,
     divergence,
-    needed,
-    share_of,
+    removed_fraction,
+    shortest_change,
 )
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
@@ -66,7 +66,7 @@ def test_the_step_is_the_shortest_that_explains_residuals_within_their_noise() -
     jacobian = np.array([(after - before) / 2e-6 for after, before in ends]).T
     both = np.vstack([rows @ jacobian, np.eye(10)])
     expected = np.linalg.lstsq(both, np.append(residuals, np.zeros(10)), rcond=None)[0]
-    np.testing.assert_allclose(needed(point, rows, residuals), expected, atol=1e-6)
+    np.testing.assert_allclose(shortest_change(point, rows, residuals), expected, atol=1e-6)
 
 
 def test_it_depends_neither_on_frames_nor_on_units() -> None:
@@ -80,8 +80,8 @@ def test_it_depends_neither_on_frames_nor_on_units() -> None:
 
     transform = moved(pseudo_inertia.from_parameters(np.eye(10))).T
     other = ONE_BODY.point(transform @ parameters)
-    first = ONE_BODY.exp(ONE_BODY.point(parameters), needed(ONE_BODY.point(parameters), rows, residuals))
-    second = ONE_BODY.exp(other, needed(other, rows @ np.linalg.inv(transform), residuals))
+    first = ONE_BODY.exp(ONE_BODY.point(parameters), shortest_change(ONE_BODY.point(parameters), rows, residuals))
+    second = ONE_BODY.exp(other, shortest_change(other, rows @ np.linalg.inv(transform), residuals))
     np.testing.assert_allclose(second.parameters, moved(first.pseudo_inertias[0]), rtol=1e-6, atol=1e-6)
 
 
@@ -90,7 +90,7 @@ def test_the_body_stays_possible_and_within_the_bound_whatever_comes() -> None:
     adaptation = Adaptation(body(rng), HEAVIEST)
     start, largest = adaptation.point, 0.0
     for size in rng.choice([1e-3, 1.0, 1e3], 5000).tolist():
-        adaptation.step(size * needed(adaptation.point, rng.normal(size=(7, 10)), rng.normal(size=7)))
+        adaptation.step(size * shortest_change(adaptation.point, rng.normal(size=(7, 10)), rng.normal(size=7)))
         assert np.linalg.eigvalsh(adaptation.point.pseudo_inertias[0])[0] > 0.0
         largest = max(largest, divergence(adaptation.point, start))
     inside = max(divergence(ONE_BODY.point(start.parameters + carried(mass, end)), start) for mass, end in LOADS)
@@ -105,16 +105,16 @@ def test_twice_the_delay_is_stable_and_four_times_is_not() -> None:
 
     def left(times: float) -> float:
         steps = 20  # in the delay that the gain is set for
-        share, behind = share_of(DELAY / steps, DELAY), round(times * steps)
+        share, behind = removed_fraction(DELAY / steps, DELAY), round(times * steps)
         errors = [1.0] * (behind + 1)
         for _ in range(200 * steps):
             errors.append(errors[-1] - share * errors[-1 - behind])
         return float(np.max(np.abs(errors[-20 * steps :])))
 
     assert left(1.0) < 1e-9
-    assert left(LATER) < 1e-9
+    assert left(LARGEST_DELAY_RATIO) < 1e-9
     assert left(4.0) > 1e3
-    assert LATER < np.pi / 2.0 / MARGIN < 4.0
+    assert LARGEST_DELAY_RATIO < np.pi / 2.0 / MARGIN < 4.0
 
 
 class Arm:
@@ -190,7 +190,7 @@ def test_corrections_are_small_and_slow(arm: Arm) -> None:
     """However much is missing."""
     correction = arm.learned()
     correction.adaptation.point = ONE_BODY.point(1e3 * correction.adaptation.point.parameters)
-    times = np.arange(BEGIN, BEGIN + LASTING, PERIOD)
+    times = np.arange(BEGIN, BEGIN + LONGEST_FAULT, PERIOD)
     sent = np.array([correction(time, arm.commanded(time)) for time in times])
     limits = arm.efforts.limits
     assert np.max(np.abs(sent) / limits) == pytest.approx(LARGEST_SHARE)
@@ -256,10 +256,10 @@ def test_what_goes_wrong_switches_it_off(case: str, arm: Arm) -> None:
 
 def test_what_is_seldom_wrong_is_forgotten() -> None:
     """Only one of ten milliseconds and less; a fifth of the time adds up."""
-    often, seldom = Latch(), Latch()
+    often, seldom = FaultLatch(), FaultLatch()
     for time in range(5000):
-        often.take(1e-3 * time, ["wrong"] if time % 50 < 10 else [])
-        seldom.take(1e-3 * time, ["wrong"] if time % 50 < 4 else [])
+        often.record(1e-3 * time, ["wrong"] if time % 50 < 10 else [])
+        seldom.record(1e-3 * time, ["wrong"] if time % 50 < 4 else [])
     assert (often.reason, seldom.reason) == ("wrong", "")
 
 
@@ -299,7 +299,7 @@ def test_another_correction_goes_on_gradually(arm: Arm) -> None:
 
 def test_a_fast_loop_learns_no_faster_than_one_of_ten_milliseconds() -> None:
     """Else it follows friction that the model lacks."""
-    steps = [share_of(step, delay) for step, delay in ((0.001, 0.002), (0.001, 0.01), (0.001, 0.02))]
+    steps = [removed_fraction(step, delay) for step, delay in ((0.001, 0.002), (0.001, 0.01), (0.001, 0.02))]
     assert steps[0] == steps[1] == pytest.approx(2.0 * steps[2], rel=0.1)
 
 

@@ -22,7 +22,7 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import identifiable, joint_of
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, IntArray

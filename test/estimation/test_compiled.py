@@ -160,7 +160,7 @@ def test_the_minimum_of_channels_is_the_same(known: int, monkeypatch: pytest.Mon
     manifold = StraightManifold(3, 0, rng.uniform(0.1, 10.0, size=4))
     profile = sparse(rng, manifold, bodies.point(rng, manifold), 3)
     rows = rng.normal(size=(known, manifold.dimension + 1))
-    rows[:, :-1] = manifold.rows_off(profile.prior, rows[:, :-1])
+    rows[:, :-1] = manifold.offset_rows(profile.prior, rows[:, :-1])
     objective = ProfileObjective(profile, weights(rng, manifold), rows.T @ rows)
     for start in (profile.prior, bodies.point(rng, manifold)):
         own = minimum(objective, start)

@@ -12,7 +12,7 @@ from geomid_ros.gap.candidates import EffectTerm, passivity_constraints
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import Spring
 from geomid_ros.model.effects.friction import CoulombFriction, SaturatingFriction, StribeckFriction, ViscousFriction
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.session.configuration import Configuration
 
 from .arms import Case, arm, solved

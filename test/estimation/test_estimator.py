@@ -15,7 +15,7 @@ from geomid_ros.estimation.uncertain_inertia import interval_of_positive
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import identifiable
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 

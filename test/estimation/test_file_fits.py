@@ -15,7 +15,7 @@ from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.model.effects import identifiable
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray

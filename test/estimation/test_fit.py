@@ -15,7 +15,7 @@ from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import identifiable
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES, regimes
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.session.configuration import Configuration
@@ -160,7 +160,7 @@ def test_the_score_is_the_density_of_what_was_measured() -> None:
     coefficients = rows.coefficients.reshape(len(sigmas), -1)
     left = rows.targets.ravel() - coefficients @ found.point.parameters
     tangent = manifold.whiten(found.point, coefficients)
-    covariance = np.diag(sigmas**2) + (tangent * found.assumed_spreads**2) @ tangent.T
+    covariance = np.diag(sigmas**2) + (tangent * found.assumed_prior_stds**2) @ tangent.T
     off = left - tangent @ manifold.log(found.point, prior)
     density = np.linalg.slogdet(covariance)[1] + off @ np.linalg.solve(covariance, off)
     wide = found.prior_stds / DEFAULT_PRIOR_STD
@@ -238,7 +238,7 @@ def test_what_was_fitted_first_is_known_to_its_own_size_at_best() -> None:
     model = MeasurementModel(case.model.robot, [identifiable()["effort_offset"], identifiable()["spring"]])
     far = case.samples.effort + 500.0 * (case.samples.position - 2.0)
     found = problem(replace(case.with_efforts(far), model=model))
-    errors = found.usual_errors(found.prior_point)
+    errors = found.default_coefficient_stds(found.prior_point)
     own = np.abs(found.prior_point.reals) / found.manifold.scales
     assert np.all(errors[found.model.positives :] >= own)
     assert np.max(own) > 2.0 * DEFAULT_PRIOR_STD

@@ -14,10 +14,16 @@ from estimation.arms import arm, summary
 from geomid_ros.estimation.estimate import Estimate, LinksInformation
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.suggested_motions import FAST, POSES, TILTED, suggested_motions
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified, interval_of_positive, numbers, sizes
+from geomid_ros.estimation.uncertain_inertia import (
+    QUANTITIES,
+    identified,
+    interval_of_positive,
+    quantities_and_moments,
+    sizes,
+)
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.weighed_masses import WeighedMass
 
@@ -43,7 +49,7 @@ def test_a_narrow_prior_identifies_nothing() -> None:
 def test_what_may_be_zero_is_compared_with_the_body() -> None:
     """A ball at the link's origin: its centre and its products of inertia are zero."""
     ball = pseudo_inertia.assemble(np.array(2.0), np.zeros(3), 0.02 * np.eye(3))
-    assert np.allclose(numbers(ball), [2.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02, 0, 0, 0])
+    assert np.allclose(quantities_and_moments(ball), [2.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02, 0, 0, 0])
     radius = np.sqrt(1.5 * 0.02 / 2.0)  # half of the trace over the mass, squared
     assert np.allclose(sizes(ball), [2.0, *3 * [radius], *6 * [0.02], *3 * [2.0 * radius]])
 
@@ -98,7 +104,7 @@ def test_what_is_identified_is_right_where_the_urdf_is_three_times_as_wrong_as_u
         found = estimate(case.model, summary(case.model, rows.coefficients, rows.targets), EstimatorSettings())
         for link, true in zip(found.links, case.true.links, strict=True):
             known = np.array([name in link.identified for name in QUANTITIES])
-            errors = np.abs(numbers(link.parameters) - numbers(true)) / sizes(true)
+            errors = np.abs(quantities_and_moments(link.parameters) - quantities_and_moments(true)) / sizes(true)
             assert np.all(errors[:10][known] < 0.2), (seed, link.name)
             count += np.count_nonzero(known)
     assert count > 10

@@ -12,7 +12,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import identifiable
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 
 from .arms import ALL_EFFECTS, Case, Motion, arm, samples, shipped, solved

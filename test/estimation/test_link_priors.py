@@ -21,7 +21,7 @@ from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.alike_parts import AlikeParts, alike_parts
 from geomid_ros.model.effects import identifiable
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import FloatArray

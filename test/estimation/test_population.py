@@ -10,7 +10,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import population_and_members
-from geomid_ros.estimation.population import Population, PopulationFit, RobotLikelihood, common
+from geomid_ros.estimation.population import Population, PopulationFit, RobotLikelihood, common_likelihoods
 from geomid_ros.types import FloatArray
 
 from .arms import parameters, solved
@@ -34,7 +34,7 @@ def robots() -> tuple[RobotLikelihood, ...]:
 
 @cache
 def population() -> Population:
-    return PopulationFit(common(robots())).population
+    return PopulationFit(common_likelihoods(robots())).population
 
 
 def moved(found: Population, before: Population) -> float:
@@ -114,7 +114,7 @@ def judged(other: RobotLikelihood) -> tuple[Population, list[bool], tuple[str, .
 
 @cache
 def of_the_others() -> Population:
-    return PopulationFit(common(robots()[:-1])).population
+    return PopulationFit(common_likelihoods(robots()[:-1])).population
 
 
 def test_a_robot_of_another_type_is_told_and_moves_nothing() -> None:
@@ -157,7 +157,7 @@ def test_what_is_left_of_some_effects_is_the_least_over_the_others() -> None:
 
 def test_two_robots_are_no_population() -> None:
     with pytest.raises(InputError, match="a population of 2 robots, expected at least 3"):
-        common(robots()[:2])
+        common_likelihoods(robots()[:2])
 
 
 def test_a_population_of_other_robots_is_refused() -> None:

@@ -13,7 +13,7 @@ from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.effects import Motion as WithPast
 from geomid_ros.model.effects.friction import DISTANCES, SMOOTHINGS, CoulombFriction, Presliding, StribeckFriction
 from geomid_ros.model.effects.situation import AtJoint
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.types import FloatArray

@@ -20,7 +20,7 @@ from geomid_ros.estimation.starting_point import (
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.effects import identifiable, joint_of
 from geomid_ros.model.effects.sensor_errors import EffortOffset
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.types import BoolArray, FloatArray
 

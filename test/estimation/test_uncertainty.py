@@ -20,8 +20,8 @@ from geomid_ros.estimation.uncertainty import (
     Uncertainty,
     error_covariance,
     estimate_uncertainty,
+    estimated_prior_stds,
     physical_sensitivity,
-    prior_spreads,
     variance_inflation,
     with_enlarged_prior,
 )
@@ -179,7 +179,7 @@ def test_the_spread_is_found_of_what_the_data_show_in_part(spread: float) -> Non
         measured_error = spread * rng.normal(size=size)
         # At the estimate, half way from the measured point to the prior where there is one, else at the prior.
         from_prior = np.where(np.diag(fisher) > 0.0, 0.5 * (prior_error - measured_error), 0.0)
-        found.append(prior_spreads(Fold(fisher @ from_prior, fisher), from_prior, groups)[0])
+        found.append(estimated_prior_stds(Fold(fisher @ from_prior, fisher), from_prior, groups)[0])
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(spread, rel=0.15)
 
 
@@ -191,7 +191,7 @@ def test_precise_rows_leave_the_spread_of_what_they_hardly_show(precision: float
     rows = np.geomspace(precision, 1.0, size // 2)[:, None] * turn[: size // 2]
     targets = rows @ rng.normal(size=size, scale=0.5) + rng.normal(size=size // 2)
     estimate = posterior_by_qr(rows, targets, usual)[0]
-    found = prior_spreads(Fold(-estimate / usual**2, rows.T @ rows), -estimate, one_group(size, usual))
+    found = estimated_prior_stds(Fold(-estimate / usual**2, rows.T @ rows), -estimate, one_group(size, usual))
     expected = usual
     for _ in range(300):
         mean, determined = posterior_by_qr(rows, targets, expected)
@@ -203,7 +203,7 @@ def test_rows_at_any_distance_leave_a_spread_of_no_more_than_a_hundred_times_the
     """Of one direction alone they say that the prior is as far off as one likes."""
     one, usual = np.diag([1e6, 0.0, 0.0]), 0.2
     found = [
-        prior_spreads(Fold(np.zeros(3), one), np.array([distance, 0.0, 0.0]), one_group(3, usual))
+        estimated_prior_stds(Fold(np.zeros(3), one), np.array([distance, 0.0, 0.0]), one_group(3, usual))
         for distance in (1.0, 1e3, 1e9)
     ]
     np.testing.assert_allclose(found[0], np.sqrt((1.0 + usual**2) / 2.0), rtol=1e-3)

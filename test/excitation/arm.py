@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.excitation import DesignTask, task_of
+from geomid_ros.session.excitation import DesignTask, design_task
 from geomid_ros.session.options import MotionOptions
 
 _LINK = """
@@ -44,7 +44,7 @@ def urdf(limit: str = LIMIT, kind: str = "revolute") -> str:
 def small_task(wish: MotionOptions | None = None, text: str | None = None) -> DesignTask:
     """The search for a motion of this arm."""
     asked = wish or MotionOptions(duration=6.0, repeats=1)
-    return task_of(text or urdf(), Path("small.urdf"), Configuration({}, "test"), asked)
+    return design_task(text or urdf(), Path("small.urdf"), Configuration({}, "test"), asked)
 
 
 def random_generator() -> np.random.Generator:

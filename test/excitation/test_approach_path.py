@@ -34,7 +34,7 @@ def passage(*avoid: str, standing: tuple[float, ...] = (0.0, 0.0, 0.0)) -> tuple
     collision = collision_model(Surroundings(avoid=avoid), robot(), Path("small.urdf"))
     assert collision is not None
     found = ApproachPath(robot(), JOINTS, np.array(standing), collision)
-    found.keep(np.array([HERE, THERE]), CLEARANCE)
+    found.require_clearance(np.array([HERE, THERE]), CLEARANCE)
     return found, collision
 
 
@@ -47,14 +47,14 @@ def least_distance(collision: CollisionModel, postures: list[FloatArray]) -> flo
 
 def test_a_way_that_is_free_is_straight() -> None:
     found, _ = passage("box:0,2,0,0.1,0.1,0.1")
-    (only,) = found.to(HERE, THERE)
+    (only,) = found.find_postures(HERE, THERE)
     np.testing.assert_array_equal(only, THERE)
 
 
 def test_a_way_leads_around_what_is_in_between() -> None:
     found, collision = passage(PILLAR)
     assert least_distance(collision, [HERE, THERE]) < 0.0
-    between, end = found.to(HERE, THERE)
+    between, end = found.find_postures(HERE, THERE)
     np.testing.assert_array_equal(end, THERE)
     assert least_distance(collision, [HERE, between, end]) >= CLEARANCE - 1e-9
     low, high = robot().position_limits[[2, 0, 1]].T
@@ -65,7 +65,7 @@ def test_a_robot_that_is_enclosed_is_not_moved() -> None:
     walls = "box:0.6,0,0.6,1,0.02,1.6", "box:-0.6,0,0.6,1,0.02,1.6"
     found, _ = passage(*walls, "plane:0,0,-1,-1.2")
     with pytest.raises(InputError, match=r"the approach to the start is not free: \w+ and box:0.6.* collide; move"):
-        found.to(HERE, THERE)
+        found.find_postures(HERE, THERE)
 
 
 def test_who_is_close_to_something_may_leave_it_and_not_come_closer() -> None:
@@ -75,7 +75,7 @@ def test_who_is_close_to_something_may_leave_it_and_not_come_closer() -> None:
     for end, free in ((away, True), (into, False)):
         found, collision = passage(wall)
         assert 0.004 < np.min(collision.distances(np.zeros((1, 3)))) < 0.006
-        found.keep(upright[None], CLEARANCE)
+        found.require_clearance(upright[None], CLEARANCE)
         assert (found._obstacle(upright, end) == "") == free
 
 
@@ -85,32 +85,32 @@ def test_joints_that_stand_elsewhere_count() -> None:
         collision = collision_model(Surroundings(avoid=("box:0.6,0,0.55,0.1,0.6,0.1",)), robot(), Path("small.urdf"))
         found = ApproachPath(robot(), ("j3",), np.array([0.0, bend, 9.0]), collision)
         ends = np.array([[-1.5], [1.5]])
-        found.keep(ends, CLEARANCE)
+        found.require_clearance(ends, CLEARANCE)
         if free:
-            assert len(found.to(*ends)) == 1
+            assert len(found.find_postures(*ends)) == 1
         else:
             with pytest.raises(InputError, match="not free: fore and box"):
-                found.to(*ends)
+                found.find_postures(*ends)
 
 
 def test_postures_that_gravity_forbids_are_not_passed() -> None:
     """Both ends hang; stretched to the side the second joint bears more than its limit, which is just below that."""
     weak = urdf().replace('effort="60"', 'effort="9"')
     found = ApproachPath(robot(weak), ("j2",), np.zeros(3))
-    found.keep(np.array([[0.0], [1.6]]), CLEARANCE)
+    found.require_clearance(np.array([[0.0], [1.6]]), CLEARANCE)
     with pytest.raises(InputError, match=r"gravity takes 1\d\d% of the effort limit of joint 'j2'"):
-        found.to(np.zeros(1), np.array([1.6]))
+        found.find_postures(np.zeros(1), np.array([1.6]))
     strong = ApproachPath(robot(), ("j2",), np.zeros(3))
-    assert len(strong.to(np.zeros(1), np.array([1.6]))) == 1
+    assert len(strong.find_postures(np.zeros(1), np.array([1.6]))) == 1
 
 
 def test_a_motion_that_comes_too_close_is_refused(tmp_path: Path) -> None:
     motion = read_trajectory(bump(JOINTS, 4.0, 0.4, 0.0).write(tmp_path / "trajectory.yaml", 100))
     found, _ = passage()
-    found.keep(motion.positions[:1], CLEARANCE)
+    found.require_clearance(motion.positions[:1], CLEARANCE)
     found.check(motion, "m.yaml")
     met, _ = passage("box:0.35,0.1,1.2,0.1,0.3,0.3")
-    met.keep(motion.positions[:1], CLEARANCE)
+    met.require_clearance(motion.positions[:1], CLEARANCE)
     with pytest.raises(InputError, match=r"m.yaml: fore and box.* \d\.\d\d s after the motion's start"):
         met.check(motion, "m.yaml")
 

@@ -53,16 +53,16 @@ def test_efforts_count_with_their_uncertainty() -> None:
     motion = random_feasible(feasibility, TASK.form, np.random.default_rng(2))
     used = feasibility.margins(motion).effort
     states = motion.at(np.linspace(0.0, 6.0, 301))[:3]
-    expected = np.max(np.abs(feasibility.knowledge.efforts(states)), axis=0) / feasibility.limits.effort
+    expected = np.max(np.abs(feasibility.belief.efforts(states)), axis=0) / feasibility.limits.effort
     assert np.all(used > expected)
     random = np.random.default_rng(3)
-    posterior = feasibility.knowledge.posterior
+    posterior = feasibility.belief.posterior
     deviations = np.sqrt(np.diag(posterior.covariance))
     torques = [
         posterior.manifold.straight(posterior.point, deviations * random.standard_normal(len(deviations))).parameters
         for _ in range(200)
     ]
-    rows = feasibility.knowledge.model.rows(samples_of(states)).coefficients
+    rows = feasibility.belief.model.rows(samples_of(states)).coefficients
     largest = np.max(np.abs(rows @ np.array(torques).T), axis=0) / feasibility.limits.effort[:, None]
     assert np.mean(largest <= used[:, None]) > 0.9
 
@@ -71,7 +71,7 @@ def test_starts_that_cannot_be() -> None:
     own = TASK.feasibility
     for start, message in (((3.0, 0.0, 0.0), "joint 'j1' is 3, outside"), ((0.0, 1.5, 0.0), "overlap")):
         with pytest.raises(InputError, match=message):
-            Feasibility(own.knowledge, own.limits, np.array(start), own.collision)
+            Feasibility(own.belief, own.limits, np.array(start), own.collision)
     with pytest.raises(InputError, match="effort limit of joint 'j2'"):
         small_task(MotionOptions(duration=6.0, start=(0.0, 1.5, 0.0)), urdf().replace('effort="60"', 'effort="8"'))
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
+from geomid_ros.excitation.belief import ROWS_PER_SECOND, aim_weight, belief_from_estimate, expected_learning
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, belief_from_estimate, expected_learning, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.samples import samples_of
@@ -20,7 +20,7 @@ from geomid_ros.session.options import MotionOptions
 from .arm import small_task
 
 TASK = small_task()
-KNOWLEDGE = TASK.knowledge
+KNOWLEDGE = TASK.belief
 
 
 def motion(seed: int = 0):
@@ -28,7 +28,7 @@ def motion(seed: int = 0):
 
 
 def test_more_is_known_afterwards() -> None:
-    after = KNOWLEDGE.after(KNOWLEDGE.information(motion()))
+    after = KNOWLEDGE.updated(KNOWLEDGE.information(motion()))
     gained = np.linalg.eigvalsh(KNOWLEDGE.posterior.covariance - after.posterior.covariance)
     assert np.all(gained > -1e-9)
     assert np.max(gained) > 0.01
@@ -56,7 +56,7 @@ def test_foretold_deviations_are_those_of_many_linear_estimates() -> None:
     stacked = np.concatenate([whitened, np.diag(1.0 / spreads)])
     targets = np.concatenate([measured.T, np.zeros((len(spreads), 400))])
     errors = np.linalg.lstsq(stacked, targets, rcond=None)[0].T - truths
-    after = KNOWLEDGE.after(KNOWLEDGE.information(own))
+    after = KNOWLEDGE.updated(KNOWLEDGE.information(own))
     foretold = np.sqrt(np.diag(after.posterior.covariance))
     assert np.allclose(np.sqrt(np.mean(errors**2, axis=0)) / foretold, 1.0, atol=0.15)
 
@@ -64,7 +64,7 @@ def test_foretold_deviations_are_those_of_many_linear_estimates() -> None:
 @pytest.mark.parametrize("aim", ["prediction", "friction", "payload", "link:upper"])
 def test_the_criterion_is_the_mean_squared_error_that_it_says(aim: str) -> None:
     others = [random_motion(TASK.feasibility, TASK.form, np.random.default_rng(9))]
-    weight = weight_of(aim, KNOWLEDGE, others)
+    weight = aim_weight(aim, KNOWLEDGE, others)
     tangent = 0.01 * np.random.default_rng(10).standard_normal(len(weight))
     value = tangent @ weight @ tangent
     posterior = KNOWLEDGE.posterior
@@ -88,7 +88,7 @@ def test_the_criterion_is_the_mean_squared_error_that_it_says(aim: str) -> None:
 
 def test_what_is_expected_is_said_honestly() -> None:
     """A random motion as good as the designed one: the design saves nothing, and twice as long is better."""
-    weight = weight_of("prediction", KNOWLEDGE, [motion(1)])
+    weight = aim_weight("prediction", KNOWLEDGE, [motion(1)])
     found = expected_learning(KNOWLEDGE, weight, motion(2), [motion(2)])
     assert any("saves nothing" in sentence for sentence in found.sentences)
     assert any("recording longer helps more than the design" in sentence for sentence in found.sentences)
@@ -113,11 +113,11 @@ def test_in_a_tight_place_the_error_on_feasible_motions_is_foretold() -> None:
     task = small_task(wish)
     found = design(task, wish)
     random = np.random.default_rng(8)
-    after = task.knowledge.after(task.knowledge.information(found.motion)).posterior.covariance
+    after = task.belief.updated(task.belief.information(found.motion)).posterior.covariance
 
     def error(make: Callable[[Feasibility, MotionForm, np.random.Generator], ExcitingMotion]) -> float:
         motions = [make(task.feasibility, task.form, random) for _ in range(12)]
-        return float(np.sqrt(np.sum(weight_of("prediction", task.knowledge, motions) * after)))
+        return float(np.sqrt(np.sum(aim_weight("prediction", task.belief, motions) * after)))
 
     foretold = found.learning.designed.error
     assert foretold == pytest.approx(error(random_feasible), rel=0.2)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
+from geomid_ros.excitation.belief import ROWS_PER_SECOND
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.rivals import discriminating_motion, responses
 from geomid_ros.excitation.search import Search, random_motion
 from geomid_ros.model.effects import AtJoint, OnRobot, effect_class
 from geomid_ros.model.samples import samples_of
-from geomid_ros.session.excitation import open_questions
+from geomid_ros.session.excitation import rival_effects
 from geomid_ros.session.options import MotionOptions
 
 from .arm import small_task
@@ -45,15 +45,17 @@ ELASTIC = finding("joint_elasticity", "j2", [("effort_delay", "")], stiffness=30
 
 @pytest.mark.parametrize("own", [ROTOR, SPRING, ELASTIC], ids=["rotor", "spring", "elastic"])
 def test_a_deciding_motion_tells_more_than_random_ones(own: dict[str, Any], tmp_path: Path) -> None:
-    judge, _ = open_questions(TASK.feasibility, written(tmp_path, own))
+    judge, _ = rival_effects(TASK.feasibility, written(tmp_path, own))
     random = np.random.default_rng(1)
     motion = discriminating_motion(TASK.feasibility, TASK.form, judge, random)
     assert TASK.feasibility.keeps_limits(motion)
     others = [
-        judge.least(TASK.feasibility.shrunk_to_feasible(random_motion(TASK.feasibility, TASK.form, random)))
+        judge.smallest_difference(
+            TASK.feasibility.shrunk_to_feasible(random_motion(TASK.feasibility, TASK.form, random))
+        )
         for _ in range(6)
     ]
-    assert judge.least(motion) > max(others)
+    assert judge.smallest_difference(motion) > max(others)
 
 
 def test_what_a_deciding_motion_shows_is_not_lost_in_making_it_feasible(
@@ -61,24 +63,24 @@ def test_what_a_deciding_motion_shows_is_not_lost_in_making_it_feasible(
 ) -> None:
     """In a shaft the best motion collides; bending it, which does not look at rivals, may leave nothing of it."""
     task = small_task(MotionOptions(duration=6.0, repeats=1, avoid=WALLS))
-    judge, _ = open_questions(task.feasibility, written(tmp_path, ELASTIC))
+    judge, _ = rival_effects(task.feasibility, written(tmp_path, ELASTIC))
     monkeypatch.setattr(Search, "improved", lambda _, motion: motion.scaled(0.0))
     motion = discriminating_motion(task.feasibility, task.form, judge, np.random.default_rng(1))
     assert task.feasibility.keeps_limits(motion)
-    assert judge.least(motion) > judge.least(motion.scaled(0.0)) + 0.1
+    assert judge.smallest_difference(motion) > judge.smallest_difference(motion.scaled(0.0)) + 0.1
 
 
 def test_the_difference_is_what_the_rival_cannot_explain(tmp_path: Path) -> None:
     """A spring, by least squares with an offset and inertias within their prior: the residual that is left."""
-    judge, _ = open_questions(TASK.feasibility, written(tmp_path, SPRING))
+    judge, _ = rival_effects(TASK.feasibility, written(tmp_path, SPRING))
     motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(2))
     judge.prepare(motion.scaled(0.5))
     ((difference,),) = judge.differences(motion)
     count = 120
     states = motion.at((np.arange(count) + 0.5) * 6.0 / count)[:3]
-    model = TASK.knowledge.model.without_effects()
-    sigmas = TASK.knowledge.sigmas
-    posterior = TASK.knowledge.posterior
+    model = TASK.belief.model.without_effects()
+    sigmas = TASK.belief.sigmas
+    posterior = TASK.belief.posterior
     rows = np.concatenate(
         [
             model.rows(samples_of(states)).coefficients[:, :, 10 * k : 10 * k + 10] @ posterior.point.links_jacobian[k]
@@ -103,7 +105,7 @@ def test_the_difference_is_what_the_rival_cannot_explain(tmp_path: Path) -> None
 
 def test_columns_of_effects_that_depend_on_the_load() -> None:
     """A delay and an elastic gear, by differences of the efforts of shifted motions."""
-    model = TASK.knowledge.model.without_effects()
+    model = TASK.belief.model.without_effects()
     inertias = np.array([body.parameters for body in model.robot.bodies])
     motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(3))
     period = 0.005
@@ -141,13 +143,13 @@ def test_columns_of_effects_that_depend_on_the_load() -> None:
 )
 def test_reports_that_cannot_be_used(document: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
-        open_questions(TASK.feasibility, written(tmp_path, **document))
+        rival_effects(TASK.feasibility, written(tmp_path, **document))
 
 
 def test_a_motion_is_not_changed_by_its_judge(tmp_path: Path) -> None:
-    judge, labels = open_questions(TASK.feasibility, written(tmp_path, ROTOR, SPRING))
+    judge, labels = rival_effects(TASK.feasibility, written(tmp_path, ROTOR, SPRING))
     motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(4))
     judge.prepare(motion.scaled(0.5))
     assert [len(own) for own in judge.differences(motion)] == [len(rivals) for _, rivals in labels] == [1, 1]
     still = ExcitingMotion(motion.form, motion.start, 0.0 * motion.coefficients)
-    assert judge.least(still) < judge.least(motion)
+    assert judge.smallest_difference(still) < judge.smallest_difference(motion)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from files.recordings import BAGS
 
-from geomid_ros.excitation.knowledge import weight_of
+from geomid_ros.excitation.belief import aim_weight
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.excitation import DesignTask, task_of
+from geomid_ros.session.excitation import DesignTask, design_task
 from geomid_ros.session.options import MotionOptions
 from geomid_ros.types import FloatArray
 
@@ -22,7 +22,7 @@ TASK = small_task(MotionOptions(duration=6.0, repeats=1, avoid=("box:0.75,0,0.7,
 
 def weight(seed: int, aim: str = "prediction", task: DesignTask = TASK) -> FloatArray:
     random = np.random.default_rng(seed)
-    return weight_of(aim, task.knowledge, [random_motion(task.feasibility, task.form, random) for _ in range(4)])
+    return aim_weight(aim, task.belief, [random_motion(task.feasibility, task.form, random) for _ in range(4)])
 
 
 def search(aim: str = "prediction", task: DesignTask = TASK) -> Search:
@@ -30,7 +30,7 @@ def search(aim: str = "prediction", task: DesignTask = TASK) -> Search:
 
 
 def error(motion: ExcitingMotion, of: FloatArray) -> float:
-    after = TASK.knowledge.after(TASK.knowledge.information(motion))
+    after = TASK.belief.updated(TASK.belief.information(motion))
     return float(np.sum(of * after.posterior.covariance))
 
 
@@ -38,7 +38,7 @@ def with_a_sensor() -> DesignTask:
     sensor = WrenchSensor("/wrench", "wrist_ft", "mounted")
     path = BAGS / "arm3.urdf"
     chosen = Configuration({}, "test").with_sensors([sensor])
-    return task_of(path.read_text(), path, chosen, MotionOptions(duration=6.0, repeats=1))
+    return design_task(path.read_text(), path, chosen, MotionOptions(duration=6.0, repeats=1))
 
 
 @pytest.mark.parametrize("task", [TASK, with_a_sensor()], ids=["efforts", "efforts and wrenches"])

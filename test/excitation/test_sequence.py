@@ -9,8 +9,8 @@ import pytest
 
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.excitation.belief import ROWS_PER_SECOND, Belief, aim_weight, belief_from_estimate
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief, belief_from_estimate, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import Search, expected_error, random_motion
 from geomid_ros.model.samples import samples_of
@@ -27,22 +27,22 @@ def designed(knowledge: Belief, random: np.random.Generator) -> tuple[ExcitingMo
     """A motion from what is known, and by what share it lowers the expected error."""
     before = TASK.feasibility
     feasibility = Feasibility(knowledge, before.limits, before.start, before.collision)
-    weight = weight_of("prediction", knowledge, [random_motion(before, TASK.form, random) for _ in range(4)])
+    weight = aim_weight("prediction", knowledge, [random_motion(before, TASK.form, random) for _ in range(4)])
     motion = Search(feasibility, TASK.form, expected_error(feasibility, weight, TASK.form)).run(random)
-    after = knowledge.after(knowledge.information(motion))
+    after = knowledge.updated(knowledge.information(motion))
     left = np.sum(weight * after.posterior.covariance) / np.sum(weight * knowledge.posterior.covariance)
     return motion, 1.0 - float(np.sqrt(left))
 
 
 def error(parameters: FloatArray, true: FloatArray, motion: ExcitingMotion) -> float:
     times = np.linspace(0.0, motion.form.period, 200)
-    rows = TASK.knowledge.model.rows(samples_of(motion.at(times)[:3])).coefficients
-    return float(np.sqrt(np.mean((rows @ (parameters - true) / TASK.knowledge.sigmas) ** 2)))
+    rows = TASK.belief.model.rows(samples_of(motion.at(times)[:3])).coefficients
+    return float(np.sqrt(np.mean((rows @ (parameters - true) / TASK.belief.sigmas) ** 2)))
 
 
 def test_a_sequence_learns_and_comes_to_an_end() -> None:
     random = np.random.default_rng(1)
-    prior = TASK.knowledge
+    prior = TASK.belief
     spreads = 0.5 * prior.posterior.prior_stds
     spreads[prior.posterior.manifold.inertial] = 0.2
     tangent = spreads * random.standard_normal(len(spreads))
@@ -73,11 +73,11 @@ def test_a_sequence_learns_and_comes_to_an_end() -> None:
 def test_what_is_known_already_is_not_learned_again() -> None:
     """After a motion the same one promises less than another that was designed from there."""
     random = np.random.default_rng(3)
-    first, gain = designed(TASK.knowledge, random)
-    after = TASK.knowledge.after(TASK.knowledge.information(first))
+    first, gain = designed(TASK.belief, random)
+    after = TASK.belief.updated(TASK.belief.information(first))
     _, second = designed(after, random)
     assert second < gain
     poor = replace(first, coefficients=first.coefficients * np.array([1.0, 0.0, 0.0]))
-    known = TASK.knowledge.after(TASK.knowledge.information(poor))
+    known = TASK.belief.updated(TASK.belief.information(poor))
     _, from_poor = designed(known, random)
     assert from_poor > second

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import DESCRIPTIONS, described
-from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.exports.patch_mjcf import patch_user_mjcf
 from geomid_ros.exports.payload import each_link
 from geomid_ros.files.models.loaded_model import LoadedModel
@@ -25,7 +25,7 @@ from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.model.effects import KnownEffect, identified_effect
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -44,7 +44,7 @@ SPRING = effect("spring", "joint2", stiffness=3.0, equilibrium=0.5)
 DIGITS = 1e-6  # [N m]: nine digits are written in a URDF
 
 
-def written(folder: Path, effects: list[KnownEffect], urdf: str = URDF) -> Model:
+def written(folder: Path, effects: list[KnownEffect], urdf: str = URDF) -> ExportModel:
     """The small arm, its links scaled, with these effects."""
     robot = Robot(urdf)
     inertias = {body.name: (1.3 + 0.1 * k) * body.parameters for k, body in enumerate(robot.bodies)}
@@ -52,11 +52,11 @@ def written(folder: Path, effects: list[KnownEffect], urdf: str = URDF) -> Model
     return read_model(folder / "estimate.json")
 
 
-def exported(model: Model, tool: str, packages: dict[str, Path] | None = None) -> str:
+def exported(model: ExportModel, tool: str, packages: dict[str, Path] | None = None) -> str:
     return described(model, tool, each_link(model), packages or {}).text
 
 
-def predicted(model: Model) -> tuple[Samples, FloatArray]:
+def predicted(model: ExportModel) -> tuple[Samples, FloatArray]:
     """Samples, and geomid's own efforts at an estimate."""
     robot = Robot(URDF)
     own = MeasurementModel(robot, [identified_effect(name) for name in NAMES])

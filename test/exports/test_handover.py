@@ -43,7 +43,7 @@ def expected(reader: str) -> dict[str, float]:
     session, parameters = found().session, found().estimate.within[reader].copy()
     first = len(session.model.nominal_inertias)
     for index, coefficient in enumerate(session.model.coefficients):
-        if coefficient.effect.of_sensor:
+        if coefficient.effect.is_sensor_error:
             parameters[first + index] = 0.0
     rms = session.rms(found().judged, parameters)
     return dict(zip((channel.name for channel in session.model.channels), rms.tolist(), strict=True))
@@ -53,7 +53,7 @@ def expected(reader: str) -> dict[str, float]:
 def test_what_is_loaded_is_what_was_fitted(reader: str) -> None:
     if reader == "mujoco":
         pytest.importorskip("mujoco")
-    judged = handed(reader).judged(found().judged, found().rms)
+    judged = handed(reader).evaluate(found().judged, found().rms)
     for name, alone in expected(reader).items():
         assert judged.alone[name] == pytest.approx(alone, rel=1e-4)
 
@@ -77,7 +77,7 @@ def test_springs_rest_and_couplings_are_loaded_as_they_were_fitted(reader: str) 
     assert np.any(coupled) == (reader == "mujoco")
     assert not [effect for effect in result.model.effects if effect.effect == "effort_offset"]
     rms = rich().session.rms(rich().judged, parameters)
-    assert [*result.judged(rich().judged, rich().rms).alone.values()] == pytest.approx(rms.tolist(), rel=1e-4)
+    assert [*result.evaluate(rich().judged, rich().rms).alone.values()] == pytest.approx(rms.tolist(), rel=1e-4)
 
 
 def test_drake_gets_no_link_without_a_mass() -> None:
@@ -125,7 +125,9 @@ def judged_file(found: float) -> FileTest:
     alone, corrected, given = {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}
     lacks = {"a": ("spring of a",), "b": ()}
     everything = {"a": found, "b": 1.0}
-    return FileTest("f.urdf", "pinocchio", alone=alone, corrected=corrected, given=given, found=everything, lacks=lacks)
+    return FileTest(
+        "f.urdf", "pinocchio", alone=alone, corrected=corrected, given=given, full_rms=everything, omitted_effects=lacks
+    )
 
 
 def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel() -> None:

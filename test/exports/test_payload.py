@@ -11,11 +11,11 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.exports.model import read_model
-from geomid_ros.exports.payload import Export, Summand, attached, chosen, difference, each_link, total
+from geomid_ros.exports.payload import Export, Summand, attached, difference, each_link, sum_of_links, total
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 
 from .points import Chain, Link, Points, points
@@ -49,9 +49,11 @@ def test_all_that_is_attached_is_summed_in_the_flange(estimated: dict[str, dict[
 
 def test_named_links_in_any_frame(tmp_path: Path) -> None:
     model = read_model(WHOLE.write(tmp_path))
-    assert_is(chosen(model, ["gripper", "gripper"], "base"), WHOLE.seen("gripper", "base"))
-    assert_is(chosen(model, ["fore", "finger"], "tool0"), WHOLE.seen("fore", "tool0") + WHOLE.seen("finger", "tool0"))
-    assert "fore_joint" not in str(chosen(model, ["fore"], "fore").notes)
+    assert_is(sum_of_links(model, ["gripper", "gripper"], "base"), WHOLE.seen("gripper", "base"))
+    assert_is(
+        sum_of_links(model, ["fore", "finger"], "tool0"), WHOLE.seen("fore", "tool0") + WHOLE.seen("finger", "tool0")
+    )
+    assert "fore_joint" not in str(sum_of_links(model, ["fore"], "fore").notes)
 
 
 def merged() -> Chain:
@@ -72,7 +74,7 @@ def test_a_reference_takes_the_wrist_away(tmp_path: Path) -> None:
     assert_is(payload, expected)
     assert "differ" not in str(payload.notes)
     with pytest.raises(InputError, match="'gripper' is no body of its own: it is counted in with 'wrist'"):
-        chosen(model, ["gripper"], "tool0")
+        sum_of_links(model, ["gripper"], "tool0")
 
 
 def test_links_elsewhere_that_differ_are_spoken_of(tmp_path: Path) -> None:
@@ -204,7 +206,7 @@ def test_a_payload_that_gap_found_is_attached_with_its_uncertainty(tmp_path: Pat
     effects = [KnownEffect("payload", "", "wrist", parameters)]
     write_model(tmp_path, MeasurementModel(robot, ()), robot.urdf, inertias, effects, robot.gravity)
     model = read_model(tmp_path / "estimate.json")
-    payload = chosen(model, ["wrist_payload"], "wrist")
+    payload = sum_of_links(model, ["wrist_payload"], "wrist")
     assert payload.inertial.mass == pytest.approx(held.mass, rel=1e-8)
     np.testing.assert_allclose(payload.inertial.com, held.com, atol=1e-9)
     np.testing.assert_allclose(payload.inertial.std, [0.03, *[1e-4] * 9], rtol=1e-6)

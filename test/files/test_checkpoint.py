@@ -75,7 +75,7 @@ def learned(end: int = INSTANTS, **values: Any) -> Session:
     accounts["joint_states"].noted["a joint too many"] = 9
     result.pipeline.ledger.restore(accounts)
     found = result.identifier.solve()
-    result.warm = WarmStart(found.parameters, result.identifier.rows)
+    result.warm_start = WarmStart(found.parameters, result.identifier.rows)
     return result
 
 
@@ -126,10 +126,10 @@ class TestRoundTrip:
         other.restore(checkpoint)
         assert checkpoint.accounts == one.pipeline.ledger.topics
         assert other.identifier.rows == one.identifier.rows == 3 * half
-        assert one.warm is not None
-        assert other.warm is not None
-        np.testing.assert_array_equal(other.warm.parameters, one.warm.parameters)
-        assert other.warm.rows == 3 * half
+        assert one.warm_start is not None
+        assert other.warm_start is not None
+        np.testing.assert_array_equal(other.warm_start.parameters, one.warm_start.parameters)
+        assert other.warm_start.rows == 3 * half
         for _ in range(2):
             assert_same(one.identifier.memory(), other.identifier.memory())
             found = [identifier.solve().parameters for identifier in (one.identifier, other.identifier)]
@@ -385,10 +385,10 @@ class TestFolder:
         for value in ({"gamma": 0.1}, {"objective": "geodesic"}, {"known": ["total=9:0.1"]}, {"sigma.joint1": 1.0}):
             changed = session(**value)
             assert restored(folder, changed) == (600, ())
-            assert changed.warm is None
+            assert changed.warm_start is None
         same = session(solve_period=2.0, still_speed=0.1)
         assert restored(folder, same) == (600, ())
-        assert same.warm is not None
+        assert same.warm_start is not None
 
     def test_what_was_being_written_is_cleared(self, folder: Path) -> None:
         (folder / f".{GENERATIONS[0]}.abcd").write_bytes(b"half a checkp")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
@@ -19,7 +19,7 @@ from geomid_ros.files.models.estimate_file import EstimateFile, estimate_documen
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.model.effects import Quantity
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -136,11 +136,11 @@ def test_a_missing_estimate_is_named(tmp_path: Path) -> None:
 
 
 ARM = read_urdf(BAGS / "arm3.urdf")
-REVERSED = Finding(cause=Cause(kind="sign", sentence="the efforts are reversed"))
-SHIFTED = Finding(cause=Cause(kind="order", sentence="two joints are exchanged"))
+REVERSED = RecordingFault(cause=Cause(kind="sign", sentence="the efforts are reversed"))
+SHIFTED = RecordingFault(cause=Cause(kind="order", sentence="two joints are exchanged"))
 
 
-def written(folder: Path, *findings: Finding) -> Path:
+def written(folder: Path, *findings: RecordingFault) -> Path:
     """The model of the small arm from a recording with these findings."""
     robot = Robot(ARM)
     inertias = {body.name: body.parameters for body in robot.bodies}

@@ -19,7 +19,7 @@ from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.files.schema import from_document
 from geomid_ros.model.effects import KnownEffect, Quantity
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 
 from .gaps import FLOOR, Case, gap_result

@@ -26,7 +26,7 @@ from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
 from geomid_ros.model.effects.friction import CoulombFriction
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import read_with_locked
@@ -118,7 +118,7 @@ def test_wrenches_are_freed_of_their_offset(tmp_path: Path) -> None:
     offset = effect("wrench_offset", "/wrench", fx=1.0, tz=-2.0)
     sensors = [WrenchSensor("/wrench", "wrist_ft", "mounted", sign=-1.0), WrenchSensor("/other", "tool", "mounted")]
     configuration = Configuration({}, "test").with_sensors(sensors)
-    session = session_with(tmp_path, [offset], **configuration.given)
+    session = session_with(tmp_path, [offset], **configuration.given_values)
     first, second = session.model.sensors
     assert first.offset == (1.0, 0.0, 0.0, 0.0, 0.0, -2.0)
     assert second.offset == (0.0,) * 6
@@ -197,7 +197,7 @@ def test_beside_a_model_friction_is_as_sure_as_the_motion_it_was_found_in(tmp_pa
     ]
     session = session_with(tmp_path, known)
     places = {(c.effect.name, c.place_name): place for place, c in enumerate(session.model.coefficients)}
-    deviations = session.loaded.deviations(session.model)[len(session.model.nominal_inertias) :]
+    deviations = session.loaded.coefficient_stds(session.model)[len(session.model.nominal_inertias) :]
     assert deviations[places["coulomb_friction", "joint1"]] == pytest.approx(0.03, rel=1e-3)
     assert deviations[places["effort_offset", "joint1"]] == pytest.approx(0.05, rel=1e-3)
     assert deviations[places["viscous_friction", "joint1"]] == pytest.approx(0.01)

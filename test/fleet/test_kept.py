@@ -12,7 +12,7 @@ import pytest
 import geomid_ros
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.fleet.kept import BagSummary, summarise, total
+from geomid_ros.fleet.summary_store import BagSummary, sum_of_summaries, summarise
 from geomid_ros.fleet.work import solve
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags
@@ -49,7 +49,7 @@ def test_the_sum_of_bags_is_that_of_one_identifier_in_any_order(bags: list[Path]
     separate = [summary(bag)[1] for bag in bags]
     _, one = summary(*bags)
     for order in permutations(separate):
-        found = total(order)
+        found = sum_of_summaries(order)
         scale = np.max(np.abs(products(one)))
         np.testing.assert_allclose(products(found), products(one), atol=ROUNDING * scale, rtol=0.0)
         assert found.fitted.summary.rows == one.fitted.summary.rows
@@ -78,7 +78,7 @@ def test_several_bags_agree_with_geomid_identify_but_for_where_folds_are_cut(bag
     expected = geomid_ros.identify(bags, URDF, config=bare)
     text, source = read_urdf(URDF), str(URDF)
     separate = [summarise(text, source, bare, Bags(fitted=[bag]))[1] for bag in bags]
-    estimate, held_out, verdict = solve(Session(text, bare, source), total(separate))
+    estimate, held_out, verdict = solve(Session(text, bare, source), sum_of_summaries(separate))
     np.testing.assert_allclose(estimate.parameters, expected.estimate.parameters, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(held_out, expected.held_out_rms, rtol=1e-6)
     assert verdict.word == expected.verdict.word

@@ -19,7 +19,7 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray

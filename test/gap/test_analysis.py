@@ -13,7 +13,7 @@ from geomid_ros.gap import analysis
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import _ends, _identifiable
 from geomid_ros.gap.candidates import Candidate, EffectsPrior
-from geomid_ros.gap.evidence.record import TotalModel
+from geomid_ros.gap.evidence.records import TotalModel
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import AtJoint, AtJoints, OnLink, OnRobot, Place
@@ -176,7 +176,10 @@ def test_what_two_joints_share_is_looked_for_where_they_move_together() -> None:
     moving[:100, 0] = moving[80:, 1] = True
 
     def looked_for(moving: BoolArray) -> set[tuple[str, Place]]:
-        return {(c.name, c.place) for c in _identifiable(library.candidates(planted.model(), (), bare=True), moving)}
+        return {
+            (c.name, c.place)
+            for c in _identifiable(library.candidates(planted.model(), (), unknown_joints=True), moving)
+        }
 
     found = looked_for(moving)
     assert ("viscous_friction", AtJoint(0)) in found

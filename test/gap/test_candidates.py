@@ -25,10 +25,10 @@ from geomid_ros.model.effects import (
 )
 from geomid_ros.model.effects.drive import CROSSINGS
 from geomid_ros.model.effects.friction import DISTANCES, SETTING_IN, SMOOTHINGS, SPEEDS
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN
-from geomid_ros.session.gap import find
+from geomid_ros.session.gap import find_gap_in_samples
 
 from . import planted
 
@@ -96,8 +96,8 @@ def test_what_the_model_has_may_have_changed_with_the_constants_and_signs_that_i
 def test_half_of_a_name_is_no_name() -> None:
     """A model that has the excess of a Stribeck friction alone has none that could have changed."""
     level, excess = named("stribeck_friction", 1)[0].terms
-    assert [c.name for c in library.candidates(MODEL, [excess]) if c.known] == []
-    assert [c.name for c in library.candidates(MODEL, [level]) if c.known] == ["coulomb_friction"]
+    assert [c.name for c in library.candidates(MODEL, [excess]) if c.in_model] == []
+    assert [c.name for c in library.candidates(MODEL, [level]) if c.in_model] == ["coulomb_friction"]
 
 
 def one(name: str, joint: int | None = None) -> Candidate:
@@ -159,4 +159,4 @@ def test_a_model_with_effects_of_loads_is_refused_on_legs() -> None:
     session: Any = SimpleNamespace(model=SimpleNamespace(legs=True), loaded=loaded)
     unused: Any = None
     with pytest.raises(InputError, match=r"effort_gain of elbow.*leave them out of the model"):
-        find(session, unused, unused, unused)
+        find_gap_in_samples(session, unused, unused, unused)

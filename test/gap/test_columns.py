@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.evidence.record import Records
-from geomid_ros.inference.fit import unfitted
+from geomid_ros.gap.evidence.records import Records
+from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import JointElasticity
 from geomid_ros.model.effects.friction import LoadFriction
@@ -24,7 +24,7 @@ def problem() -> LinearisedProblem:
     model = planted.model()
     inertias = planted.true_inertias(5, 0.2)
     records = Records.make([planted.recording(planted.rigid(inertias), 5, noise=0.0)], planted.CUTOFF)
-    return LinearisedProblem(model, records, total_model(model, unfitted(planted.prior(inertias))))
+    return LinearisedProblem(model, records, total_model(model, fit_of_prior(planted.prior(inertias))))
 
 
 def efforts(problem: LinearisedProblem, moved: tuple[FloatArray, FloatArray, FloatArray] | None = None) -> FloatArray:

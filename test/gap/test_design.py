@@ -16,7 +16,7 @@ from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situati
 from geomid_ros.model.effects.friction import ViscousFriction
 from geomid_ros.model.effects.mounting import CarriedBody, GravityTilt
 from geomid_ros.model.effects.sensor_errors import WrenchOffset
-from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 

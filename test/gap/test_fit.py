@@ -8,10 +8,10 @@ import pytest
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.records import Records
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.design import Design
-from geomid_ros.inference.fit import JointFit, fit, unfitted
+from geomid_ros.inference.fit import JointFit, fit, fit_of_prior
 from geomid_ros.inference.prior import OtherRecordings
 
 from . import planted
@@ -27,7 +27,7 @@ def designed(*seeds: int, friction: float = SMALL) -> Design:
     rigid = planted.rigid(planted.true_inertias(7, 0.2))
     samples = [planted.recording(lambda q, v, a: rigid(q, v, a) + [0.0, friction, 0.0] * v, seed) for seed in seeds]
     problem = LinearisedProblem(
-        MODEL, Records.make(samples, planted.CUTOFF), total_model(MODEL, unfitted(planted.prior()))
+        MODEL, Records.make(samples, planted.CUTOFF), total_model(MODEL, fit_of_prior(planted.prior()))
     )
     return problem.design(problem.columns(CANDIDATES, ()), WHITE)
 
@@ -92,7 +92,7 @@ def test_a_payload_is_reached_from_afar() -> None:
     problem = LinearisedProblem(
         MODEL,
         Records.make([planted.recording(planted.rigid(loaded), 9)], planted.CUTOFF),
-        total_model(MODEL, unfitted(planted.prior())),
+        total_model(MODEL, fit_of_prior(planted.prior())),
     )
     precise = replace(planted.prior(), inertias=inertias[list(MODEL.identified)].ravel(), prior_std=1e-3, certainty=1e4)
     payload = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)

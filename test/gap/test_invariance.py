@@ -9,7 +9,7 @@ from estimation.frames import rewritten
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.geometry import pseudo_inertia, spd
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 
 from . import planted

@@ -12,10 +12,10 @@ import pytest
 from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.records import Records
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.inference.fit import JointFit, fit, unfitted
+from geomid_ros.inference.fit import JointFit, fit, fit_of_prior
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.effects import AtJoint, Effect, OnRobot
 from geomid_ros.model.effects.friction import LoadFriction, ViscousFriction
@@ -45,7 +45,7 @@ def exact(seed: int = 3) -> Samples:
 def said(values: dict[EffectTerm, float]) -> JointFit:
     """The planted robot with these coefficients, as if it were a fit."""
     known = np.array(list(values.values()))
-    return unfitted(
+    return fit_of_prior(
         Prior(
             inertias=INERTIAS.ravel(),
             prior_std=0.2,
@@ -122,7 +122,7 @@ def test_a_tilt_is_the_whole_tilt_up_to_second_order(at: float, share: float) ->
 def test_a_delay_is_the_whole_delay_up_to_second_order(at: float, share: float) -> None:
     """Measured efforts are those of five milliseconds before."""
     samples = exact()
-    moved = Records.make([samples], planted.CUTOFF).advanced(-0.005).dense[0]
+    moved = Records.make([samples], planted.CUTOFF).with_shifted_efforts(-0.005).dense[0]
     known = np.isfinite(moved.effort).all(axis=1)
     late = replace(moved, effort=np.where(known[:, None], moved.effort, samples.effort))
     inner = slice(3, -3)
@@ -136,7 +136,7 @@ def test_a_gain_scales_a_tilt_and_a_delay_that_are_built_in() -> None:
     gravity = pin.exp3(np.array([0.03, 0.0, 0.0])).T @ MODEL.robot.gravity
     tilted = planted.recording(planted.rigid(INERTIAS, gravity), 3, SECONDS, noise=0.0)
     measured = Records.make([with_efforts(tilted, [1.0, 1.25, 1.0], [0.0] * 3, [0.0] * 3)], planted.CUTOFF)
-    late = replace(measured, dense=measured.advanced(-0.005).dense)
+    late = replace(measured, dense=measured.with_shifted_efforts(-0.005).dense)
     values: dict[EffectTerm, float] = {TILT[0]: 0.03, TILT[1]: 0.0, DELAY: 0.005, GAIN: 0.25}
     inner = slice(3, -3)
     left = residual(late.dense[0], values, values)[inner]

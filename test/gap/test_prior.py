@@ -71,7 +71,7 @@ def test_without_other_recordings_each_effect_is_known_as_well_as_they_said() ->
     covariance[:30, :30], covariance[30:, 30:] = links, np.diag(spreads[:2] ** 2)
     gain = covariance @ rows.T @ np.linalg.inv(rows @ covariance @ rows.T + np.eye(12))
     then = np.diag(covariance - gain @ rows @ covariance)[30:]
-    alone = prior.by_itself
+    alone = prior.without_other_recordings
     assert alone.other_recordings is None
     np.testing.assert_allclose(alone.prior_stds, np.append(np.sqrt(then + changes**2), spreads[2]), rtol=1e-8)
-    assert alone.by_itself is alone
+    assert alone.without_other_recordings is alone

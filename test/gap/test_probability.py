@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.gap import analysis
 from geomid_ros.gap.judgement.verdict import ranking
-from geomid_ros.inference.probability import Support, Supports, relative_doubt
+from geomid_ros.inference.probability import Support, Supports, relative_std_from_remainder
 from geomid_ros.inference.selection import Selection
 
 from . import planted
@@ -29,7 +29,7 @@ def supports(sizes: dict[object, float], seed: int, alike: object = None) -> dic
     recording = Recording(seed, CANDIDATES, columns)
     design = recording.design({c.terms[0]: size for c, size in sizes.items()})  # type: ignore[attr-defined]
     selection = Selection(design, PRIOR, CANDIDATES)
-    found = selection.settle(selection.fit([]))
+    found = selection.optimise(selection.fit([]))
     each = Supports(selection, found)
     return {c: each.of(c) for c in found.chosen}
 
@@ -59,7 +59,7 @@ def test_a_large_name_is_sure_and_one_with_an_equal_rival_is_not() -> None:
 def test_a_name_is_worth_no_more_than_its_size_says() -> None:
     for seed in range(5):
         for support in supports({VISCOUS: 0.05, OFFSET: 0.2}, seed).values():
-            assert support.worth <= support.loss
+            assert support.adjusted_loss <= support.loss
 
 
 def test_what_every_joint_may_have_is_likely_from_three_standard_deviations_on_and_not_before() -> None:
@@ -86,7 +86,7 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
     assert said[1].loss == pytest.approx(search.without(found, VISCOUS).score - found.score)
     unused: Any = None
     whole = analysis.Analysis(
-        problem=unused, search=search, bare=search.fit([]), effects=found, supports=dict([said]), floor=unused
+        problem=unused, search=search, inertias_only=search.fit([]), effects=found, supports=dict([said]), floor=unused
     )
     assert whole.likely.chosen == (VISCOUS,)
     ranked = ranking(planted.model(), whole, ())
@@ -136,11 +136,11 @@ def test_how_common_names_are_counts_beside_what_one_is_worth() -> None:
         selection = Selection(Recording(4, tried).design(sizes), PRIOR, tried)
         each = Supports(selection, selection.fit(tried[:count]))
         support, common = each.of(tried[0]), each._common(tried[0])
-        assert 4.0 < support.worth < 30.0
-        assert not [loss for _, loss in support.rivals if loss < support.worth + 20.0]
+        assert 4.0 < support.adjusted_loss < 30.0
+        assert not [loss for _, loss in support.rivals if loss < support.adjusted_loss + 20.0]
         assert -2.0 < common < 5.0
         odds = support.probability / (1.0 - support.probability)
-        assert 2.0 * np.log(odds) == pytest.approx(support.worth + common, abs=0.1)
+        assert 2.0 * np.log(odds) == pytest.approx(support.adjusted_loss + common, abs=0.1)
 
 
 def test_a_drawing_s_inner_link_may_be_wrong_as_well_as_loaded() -> None:
@@ -164,7 +164,7 @@ def test_each_channel_s_lack_counts_by_the_weight_that_least_squares_give_what_i
         weights = powers / squares / np.sum(powers / squares)
         of_each = 0.25 * lacks / powers  # relative variance of the size as one channel alone says it
         expected = np.sum(weights * np.sqrt(of_each))  # the errors may have one cause
-        assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(expected)
+        assert relative_std_from_remainder(design, found, 0, np.ones(1)) == pytest.approx(expected)
 
 
 def test_a_power_that_rounding_leaves_below_zero_is_none() -> None:
@@ -172,4 +172,4 @@ def test_a_power_that_rounding_leaves_below_zero_is_none() -> None:
         channels=[SimpleNamespace(before=None)] * 2, powers=lambda *_: np.array([1.0, -1e-18])
     )
     found: Any = SimpleNamespace(squares=np.ones(2), remainders=lambda _: [SimpleNamespace(power=1.0, freedom=1.0)] * 2)
-    assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(0.5)
+    assert relative_std_from_remainder(design, found, 0, np.ones(1)) == pytest.approx(0.5)

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from model.robots import fixed_base
 
-from geomid_ros.gap.evidence.record import Records, TotalModel
+from geomid_ros.gap.evidence.records import Records, TotalModel
 from geomid_ros.model.columns import Entries, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
 from geomid_ros.model.effects.drive import RotorInertia
@@ -90,25 +90,25 @@ def test_friction_is_unsettled_where_two_models_of_it_differ_and_thirty_millisec
     records = Records.make([with_columns(sign, np.zeros((count, 3)), smooth, rate)], CUTOFF)
     times = np.abs(records.chosen[0] - 200) / rate
     near = times <= 0.03 + 1e-9
-    np.testing.assert_array_equal(records.unsettled[:, 0] == 0.5, near)
-    np.testing.assert_array_equal(records.unsettled[:, 1] == 0.5, near)
-    assert not np.any(records.unsettled[~near])
-    assert not np.any(records.unsettled[:, 2])
+    np.testing.assert_array_equal(records.friction_ambiguity[:, 0] == 0.5, near)
+    np.testing.assert_array_equal(records.friction_ambiguity[:, 1] == 0.5, near)
+    assert not np.any(records.friction_ambiguity[~near])
+    assert not np.any(records.friction_ambiguity[:, 2])
     assert np.any(near)
 
 
 def test_efforts_of_later_are_interpolated_and_none_beyond_the_end() -> None:
     records = Records.make([samples(200)], CUTOFF)
     for lag in (0.0, 0.013, -0.02):
-        (part,) = records.advanced(lag).dense
+        (part,) = records.with_shifted_efforts(lag).dense
         times = np.arange(200) / 100.0 + lag
         inside = (times >= 0.0) & (times <= 1.99 + 1e-9)
         expected = np.cos(times[:, None] + np.arange(3))
         np.testing.assert_allclose(part.effort[inside], expected[inside], atol=1e-6)
         assert np.all(np.isnan(part.effort[~inside]))
         np.testing.assert_array_equal(part.position, records.dense[0].position)
-        assert records.advanced(lag).chosen is records.chosen
-    assert records.advanced(0.0).dense[0] is records.dense[0]
+        assert records.with_shifted_efforts(lag).chosen is records.chosen
+    assert records.with_shifted_efforts(0.0).dense[0] is records.dense[0]
 
 
 class Belt(PairEffect):
@@ -167,7 +167,7 @@ def test_what_is_built_into_a_model_is_its_gravity_its_lag_and_its_scales() -> N
         (ViscousFriction(), AtJoint(1), [2.0]),
         (EffortGain(), AtJoint(1), [0.0]),
     )
-    names = [(effect.name, place) for effect, place, _ in own.absorbed]
+    names = [(effect.name, place) for effect, place, _ in own.compensated_effects]
     assert names == [
         ("gravity_tilt", OnRobot()),
         ("effort_delay", OnRobot()),
@@ -211,7 +211,7 @@ def test_the_situation_is_that_of_the_total_model() -> None:
     np.testing.assert_array_equal(situation.sign, records.samples.column(SIGN))
     assert situation.coefficients == {("viscous_friction", AtJoint(1)): 0.7, ("rotor_inertia", AtJoint(2)): 0.3}
     np.testing.assert_array_equal(situation.gravity, MODEL.robot.gravity)
-    assert situation.usual_load(AtJoint(1)) == pytest.approx(np.std(situation.load[:, 1]))
+    assert situation.typical_load(AtJoint(1)) == pytest.approx(np.std(situation.load[:, 1]))
 
 
 def test_the_motion_of_no_effort_is_no_channel() -> None:
@@ -221,7 +221,7 @@ def test_the_motion_of_no_effort_is_no_channel() -> None:
     model: Any = SimpleNamespace(robot=MODEL.robot, channels=(None,) * 2, layout=SimpleNamespace(efforts=()))
     records = Records.make([samples(200)], CUTOFF)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("geomid_ros.gap.evidence.record.Dynamics", lambda *_: dynamics)
+        patch.setattr("geomid_ros.gap.evidence.records.Dynamics", lambda *_: dynamics)
         situation = records.situation(model, total())
     assert situation.predicted.shape == (len(records.samples), 2)
     assert not np.any(situation.predicted)

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from geomid_ros.gap.evidence import noise
 from geomid_ros.gap.evidence.noise import Repeats, noise_by_repeats, repeated_after
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.records import Records
 from geomid_ros.model.samples import Samples
 
 from . import planted

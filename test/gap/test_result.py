@@ -10,14 +10,14 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.gap import workflow
 from geomid_ros.gap.candidates import EffectTerm
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.records import Records
 from geomid_ros.gap.result import GapResult, Rival
 from geomid_ros.gap.workflow import CUTOFF, find_gap, residual_rms
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
 from geomid_ros.model.effects.sensor_errors import EffortOffset
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -139,7 +139,7 @@ def test_gaps_are_root_mean_squares_of_the_trace_in_units_of_the_floor(result: G
 def test_the_first_remainder_is_located(result: GapResult) -> None:
     assert [entry.channel for entry in result.located] == list(JOINTS)
     assert all(0.0 <= getattr(e, name) <= 1.0 for e in result.located for name in ("velocity", "position", "load"))
-    first = workflow.located(
+    first = workflow.locate_residuals(
         BARE,
         Records.make([TRAIN], planted.CUTOFF),
         first_remainder(),
@@ -228,7 +228,7 @@ def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: py
 
     def analyse(_: object, __: object, prior: workflow.Prior, ___: object) -> object:
         asked.append(prior)
-        return type("Analysis", (), {"likely": workflow.unfitted(shown)})
+        return type("Analysis", (), {"likely": workflow.fit_of_prior(shown)})
 
     monkeypatch.setattr(workflow, "analyse", analyse)
     prior = workflow._as_simulated(BARE, records, given, lambda *_: None)

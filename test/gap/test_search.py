@@ -41,9 +41,9 @@ def names(found: EffectsFit | None) -> set[Candidate]:
 def test_what_is_planted_is_found_and_nothing_else() -> None:
     for seed in range(5):
         one = search({VISCOUS: [STRONG], OTHERS[1]: [-STRONG]}, seed=seed)
-        assert names(one.settle(one.fit([]))) == {VISCOUS, OTHERS[1]}
+        assert names(one.optimise(one.fit([]))) == {VISCOUS, OTHERS[1]}
         none = search(seed=seed)
-        assert names(none.settle(none.fit([]))) == set()
+        assert names(none.optimise(none.fit([]))) == set()
 
 
 def test_a_name_is_taken_that_is_worth_it() -> None:
@@ -68,8 +68,8 @@ def test_what_a_chosen_name_excludes_is_not_tried() -> None:
 def test_names_with_a_wrong_sign_are_impossible() -> None:
     for size in (STRONG, -STRONG):
         one = search({COULOMB: [size]}, among=[COULOMB])
-        assert one.possible(one.fit([COULOMB])) == (size > 0.0)
-        assert names(one.settle(one.fit([]))) == ({COULOMB} if size > 0.0 else set())
+        assert one.is_plausible(one.fit([COULOMB])) == (size > 0.0)
+        assert names(one.optimise(one.fit([]))) == ({COULOMB} if size > 0.0 else set())
         assert names(one.within_range(one.fit([COULOMB]))) == ({COULOMB} if size > 0.0 else set())
 
 
@@ -82,7 +82,7 @@ def test_a_payload_that_outweighs_the_robot_is_impossible() -> None:
         found = heavy.fit([PAYLOAD])
         mass = found.point.pseudo_inertias[1, 3, 3]
         assert mass == pytest.approx(times * LINK[0], rel=0.05)
-        assert heavy.possible(found) == possible
+        assert heavy.is_plausible(found) == possible
 
 
 def test_pruning_leaves_out_what_is_not_worth_its_parameters_and_nothing_else() -> None:
@@ -132,7 +132,7 @@ def test_names_bring_what_the_score_test_promises() -> None:
         start = one.fit([])
         for trial in one.ranked(start):
             alone = one.fit([trial.candidate])
-            assert not one.possible(alone) or start.score - alone.score < KEPT_PROMISE * max(trial.gain, 0.0) + 1.0
+            assert not one.is_plausible(alone) or start.score - alone.score < KEPT_PROMISE * max(trial.gain, 0.0) + 1.0
 
 
 SPEEDY = [at(StribeckFriction(speed, 0.003), 0) for speed in SPEEDS[:9]]
@@ -147,7 +147,7 @@ def test_the_constant_is_found_among_many() -> None:
     truth = SPEEDY[6]
     design = recording.design(dict(zip(truth.terms, (STRONG, STRONG), strict=True)))
     one = Selection(design, PRIOR, SPEEDY)
-    assert names(one.settle(one.fit([]))) == {truth}
+    assert names(one.optimise(one.fit([]))) == {truth}
 
 
 def test_a_rival_comes_with_the_constants_that_suit_it() -> None:
@@ -164,7 +164,7 @@ def test_a_rival_comes_with_the_constants_that_suit_it() -> None:
     trapped = one.fit([blunt, quadratic])
     assert min(one.fit(pair).score for pair in ([blunt, VISCOUS], [sharp, quadratic])) > trapped.score
     assert {sharp, VISCOUS} in [names(rival) for rival in one.rivals(trapped, quadratic)]
-    assert names(one.settle(trapped)) == {sharp, VISCOUS}
+    assert names(one.optimise(trapped)) == {sharp, VISCOUS}
 
 
 def test_a_name_that_turns_all_columns_ends_a_search_unless_it_is_the_last() -> None:
@@ -177,5 +177,5 @@ def test_a_name_that_turns_all_columns_ends_a_search_unless_it_is_the_last() -> 
     turning = at(Turning(), 1)
     one = search({turning: [1.0], VISCOUS: [STRONG]}, among=[VISCOUS, turning])
     assert names(one.grow(one.fit([]), to_the_end=False)) == {turning}
-    assert names(one.settle(one.fit([]))) == {turning, VISCOUS}
+    assert names(one.optimise(one.fit([]))) == {turning, VISCOUS}
     assert names(one.grow(one.fit([turning]), to_the_end=False)) == {turning, VISCOUS}

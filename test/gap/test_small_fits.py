@@ -17,7 +17,7 @@ from geomid_ros.gap.judgement.sentences import parameters
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.inference import prior as before
 from geomid_ros.inference.design import ChannelRows, Design
-from geomid_ros.inference.fit import JointFit, fit, scattered, unfitted
+from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
 from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import AtSensor
@@ -87,7 +87,7 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
         count / squares * own.profile.products.dense(channel)[:-1, :-1]
         for channel, (count, squares) in enumerate(zip(own.profile.counts, own.profile.squares(start), strict=True))
     )
-    into = np.linalg.inv(own.manifold.rows_off(own.profile.prior, np.eye(own.manifold.dimension)))
+    into = np.linalg.inv(own.manifold.offset_rows(own.profile.prior, np.eye(own.manifold.dimension)))
     of_known = into.T @ own.known[:-1, :-1] @ into
     expected = jacobian.T @ (of_rows + of_known) @ jacobian
     np.testing.assert_allclose(own.evaluate(start).information, expected, rtol=1e-9, atol=1e-9)
@@ -224,7 +224,7 @@ class TestWhatTheModelHas:
 
     def test_it_is_what_an_unfitted_model_says(self) -> None:
         prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), prior_stds=np.array([0.05]))
-        found = unfitted(prior)
+        found = fit_of_prior(prior)
         assert (found.value(TERM), found.chosen, found.bodies, found.prior_stds[0]) == (0.4, (), [], PRIOR.prior_std)
         np.testing.assert_allclose(found.point.parameters, np.append(LINK, 0.4))
 

@@ -12,9 +12,9 @@ from geomid_ros.gap.analysis import known_remainder
 from geomid_ros.gap.evidence.features import LARGEST_SCALE, KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.records import Records
 from geomid_ros.gap.workflow import find_gap, remainder_of_model
-from geomid_ros.inference.fit import unfitted
+from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -52,12 +52,15 @@ def standing() -> KnownRemainder:
 @pytest.mark.parametrize("seed", [2, 3, 8])
 def test_it_is_expected_of_another_motion_as_far_as_it_says(seed: int) -> None:
     """What is not expected of another motion is as large as noise and the coefficients' covariance say."""
-    given = unfitted(planted.prior(LINKS))
+    given = fit_of_prior(planted.prior(LINKS))
     records = Records.make([recorded(seed)], planted.CUTOFF)
     problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), known_remainder=standing())
     residual = problem.residual({}, given)
     for channel, own in enumerate(problem.features):
-        off, unsure = residual[:, channel] - own.known, np.einsum("ij,jk,ik->i", own.columns, own.unsure, own.columns)
+        off, unsure = (
+            residual[:, channel] - own.expected_remainder,
+            np.einsum("ij,jk,ik->i", own.columns, own.covariance, own.columns),
+        )
         assert 0.6 < np.sqrt(np.mean(off**2 / (planted.NOISE**2 + unsure))) < 1.4
         if channel == JOINT:
             assert np.std(off) < 0.5 * np.std(residual[:, JOINT])
@@ -80,15 +83,15 @@ def with_a_share(share: float) -> KnownRemainder:
 
 
 def test_fewer_rows_than_features_tell_less_and_as_much_as_they_say() -> None:
-    few, given = with_a_share(1.0 / 8.0), unfitted(planted.prior(LINKS))
+    few, given = with_a_share(1.0 / 8.0), fit_of_prior(planted.prior(LINKS))
     for seed in (2, 3):
         problem = LinearisedProblem(
             MODEL, Records.make([recorded(seed)], planted.CUTOFF), total_model(MODEL, given), known_remainder=few
         )
         own, residual = problem.features[JOINT], problem.residual({}, given)[:, JOINT]
-        unsure = np.einsum("ij,jk,ik->i", own.columns, own.unsure, own.columns)
-        assert np.std(residual - own.known) < 0.9 * np.std(residual)
-        assert 0.4 < np.sqrt(np.mean((residual - own.known) ** 2 / (planted.NOISE**2 + unsure))) < 2.0
+        unsure = np.einsum("ij,jk,ik->i", own.columns, own.covariance, own.columns)
+        assert np.std(residual - own.expected_remainder) < 0.9 * np.std(residual)
+        assert 0.4 < np.sqrt(np.mean((residual - own.expected_remainder) ** 2 / (planted.NOISE**2 + unsure))) < 2.0
     assert np.linalg.norm(few.triangles[JOINT]) > np.linalg.norm(standing().triangles[JOINT])
 
 
@@ -131,26 +134,26 @@ def test_a_change_beside_it_is_named() -> None:
 
 def test_what_was_lacking_and_is_there_now_is_nothing_that_lacks() -> None:
     """The remainder is then what was expected, taken back; together they are next to nothing."""
-    given = unfitted(planted.prior(LINKS))
+    given = fit_of_prior(planted.prior(LINKS))
     records = Records.make([planted.recording(planted.rigid(TRUE), 4, 30.0)], planted.CUTOFF)
     problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), known_remainder=standing())
     design = problem.design({}, (Autoregression.white(),) * len(MODEL.channels))
-    expected = float(np.sum(problem.expected[problem.valid[:, JOINT], JOINT] ** 2))
+    expected = float(np.sum(problem.expected_remainder[problem.valid[:, JOINT], JOINT] ** 2))
     assert given.remainders(design)[JOINT].power < 0.1 * expected
 
 
 def test_nothing_is_known_of_what_depends_on_time() -> None:
     records = Records.make([recorded(7)], planted.CUTOFF)
     problem = LinearisedProblem(
-        MODEL, records, total_model(MODEL, unfitted(planted.prior(LINKS))), known_remainder=standing()
+        MODEL, records, total_model(MODEL, fit_of_prior(planted.prior(LINKS))), known_remainder=standing()
     )
     for own in problem.features:
         of_time = np.array([name == "time" for name in own.depends_on])[own.block]
         assert own.mean is not None
-        assert own.unsure is not None
+        assert own.covariance is not None
         assert not np.any(own.mean[of_time])
-        assert not np.any(own.unsure[of_time])
-        assert np.all(np.diag(own.unsure)[~of_time] > 0.0)
+        assert not np.any(own.covariance[of_time])
+        assert np.all(np.diag(own.covariance)[~of_time] > 0.0)
 
 
 def test_of_a_channel_that_told_nothing_nothing_is_known() -> None:
@@ -163,7 +166,7 @@ def test_of_a_channel_that_told_nothing_nothing_is_known() -> None:
     problem = LinearisedProblem(
         MODEL,
         Records.make([recorded(2)], planted.CUTOFF),
-        total_model(MODEL, unfitted(planted.prior(LINKS))),
+        total_model(MODEL, fit_of_prior(planted.prior(LINKS))),
         known_remainder=found,
     )
     assert [own.mean is None for own in problem.features] == [c == JOINT for c in range(len(MODEL.channels))]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records
-from geomid_ros.inference.fit import unfitted
+from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records
+from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.effects import AtJoint, identified_effect
 from geomid_ros.types import BoolArray
 
@@ -22,7 +22,7 @@ def problem(joint: int, level: float, floor: float = 1.0) -> LinearisedProblem:
     inertias = planted.true_inertias(2, 0.1)
     records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
     friction = (identified_effect("coulomb_friction"), AtJoint(joint), np.array([level]))
-    total = replace(total_model(model, unfitted(planted.prior(inertias))), effects=(friction,))
+    total = replace(total_model(model, fit_of_prior(planted.prior(inertias))), effects=(friction,))
     return LinearisedProblem(model, records, total, floor * FLOOR)
 
 

@@ -11,16 +11,16 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.records import Records
 from geomid_ros.gap.judgement import verdict
-from geomid_ros.gap.judgement.held_out import located, share, strongest
+from geomid_ros.gap.judgement.confirmed_changes import _with_sentence
+from geomid_ros.gap.judgement.held_out import locate_residuals, share, strongest
 from geomid_ros.gap.judgement.sentences import sentence, settled_by
-from geomid_ros.gap.judgement.written import _with_sentence
 from geomid_ros.gap.result import Finding, GapResult, ResidualDependence
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Quantity
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray
@@ -77,13 +77,13 @@ def test_a_remainder_is_located_by_what_it_depends_on() -> None:
     load = rng.uniform(0.0, 5.0, (3000, 3))
     samples = SimpleNamespace(seconds=np.arange(3000) * 0.01, position=position, velocity=velocity)
     residual = np.column_stack([(load[:, 0] - 2.5) ** 2 - 2.0, np.sin(3.0 * position[:, 1]), np.sign(velocity[:, 2])])
-    found = located(MODEL, SimpleNamespace(samples=samples), residual, load)  # type: ignore[arg-type]
+    found = locate_residuals(MODEL, SimpleNamespace(samples=samples), residual, load)  # type: ignore[arg-type]
     assert [entry.channel for entry in found] == list(JOINTS)
     assert [strongest(entry) for entry in found] == ["load", "position", "reversals"]
     drifting = np.column_stack([np.linspace(-1.0, 1.0, 3000)] * 3)
-    in_time = located(MODEL, SimpleNamespace(samples=samples), drifting, load)  # type: ignore[arg-type]
+    in_time = locate_residuals(MODEL, SimpleNamespace(samples=samples), drifting, load)  # type: ignore[arg-type]
     assert [strongest(entry) for entry in in_time] == ["time"] * 3
-    with_speed = located(MODEL, SimpleNamespace(samples=samples), velocity**3, load)  # type: ignore[arg-type]
+    with_speed = locate_residuals(MODEL, SimpleNamespace(samples=samples), velocity**3, load)  # type: ignore[arg-type]
     assert [strongest(entry) for entry in with_speed] == ["velocity"] * 3
 
 
@@ -92,7 +92,7 @@ def test_a_wrench_depends_on_load_and_time_alone() -> None:
     samples = SimpleNamespace(seconds=np.arange(500) * 0.01, position=np.zeros((500, 0)), velocity=np.zeros((500, 0)))
     load = np.random.default_rng(1).uniform(size=(500, 1))
     model, records = SimpleNamespace(channels=channels), SimpleNamespace(samples=samples)
-    (found,) = located(model, records, load - 0.5, load)  # type: ignore[arg-type]
+    (found,) = locate_residuals(model, records, load - 0.5, load)  # type: ignore[arg-type]
     assert (found.channel, strongest(found)) == ("wrench/fx", "load")
     assert (found.velocity, found.position, found.reversals) == (0.0, 0.0, 0.0)
 
@@ -249,7 +249,7 @@ def test_a_moment_without_an_effort_costs_that_moment_of_delayed_efforts() -> No
     records = Records.make([replace(TRAIN, effort=effort)], planted.CUTOFF)
     whole = Records.make([TRAIN], planted.CUTOFF)
     lag = 0.004  # [s]
-    found, exact = (each.advanced(lag).dense[0].effort[:, JOINT] for each in (records, whole))
+    found, exact = (each.with_shifted_efforts(lag).dense[0].effort[:, JOINT] for each in (records, whole))
     known = np.isfinite(found)
     np.testing.assert_array_equal(np.flatnonzero(~known), [*range(999, 1010), len(TRAIN) - 1])
     away = known & (np.abs(np.arange(len(TRAIN)) - 1005) > 30)
@@ -278,7 +278,8 @@ def test_what_a_force_plate_measures_counts_while_joints_stand_still() -> None:
 def test_the_std_of_a_grid_constant_is_that_of_a_parabola_widened_by_the_steps(curvature: float, std: float) -> None:
     """The score is minus twice a Gaussian's log, over constants a factor of two apart. At a maximum the std is 1."""
     names: list[Any] = [
-        SimpleNamespace(effect=SimpleNamespace(grid_value=value), group="one", known=False) for value in (0.1, 0.2, 0.4)
+        SimpleNamespace(effect=SimpleNamespace(grid_value=value), group="one", in_model=False)
+        for value in (0.1, 0.2, 0.4)
     ]
     search = SimpleNamespace(
         hypotheses=names,

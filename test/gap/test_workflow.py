@@ -19,7 +19,7 @@ from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.inference.prior import GAIN, OtherRecordings
 from geomid_ros.model.effects.friction import LoadFriction, StribeckFriction, ViscousFriction
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.gap_words import summary
 from geomid_ros.types import FloatArray

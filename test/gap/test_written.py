@@ -12,7 +12,7 @@ import pytest
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import result as result_module
 from geomid_ros.gap.candidates import EffectsFit
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.records import Records
 from geomid_ros.gap.judgement import written as written_module
 from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
@@ -20,7 +20,7 @@ from geomid_ros.geometry.definite import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Quantity
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
 from . import planted

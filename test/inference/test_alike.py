@@ -14,7 +14,7 @@ from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.alike_parts import alike_parts
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 

@@ -89,7 +89,7 @@ def test_the_cost_is_the_volume_of_the_covariance_and_nothing_at_the_usual_size_
         )
         volume = np.linalg.slogdet(covariance(own, variances))[1]
         assert own.remainder.marginalised(own.products, variances).cost == pytest.approx(volume + prior)
-    assert own.remainder.usual.tolist() == usual.tolist()
+    assert own.remainder.default_variances.tolist() == usual.tolist()
 
 
 def score(remainder: Remainder, vector: FloatArray, square: float, variances: FloatArray) -> float:
@@ -128,7 +128,7 @@ def test_beside_other_recordings_it_changes_as_much_as_usual_and_by_a_share_of_w
     """However much is left: what stands there is a change that has no name yet."""
     remainder, vector = rows(6, before=BEFORE).remainder, np.append([1.0, 2.0, 3.0, -1.0], 0.0)
     for square in (0.1, 1e6):
-        np.testing.assert_array_equal(remainder.fitted_variances(vector, square, 0.0), remainder.usual)
+        np.testing.assert_array_equal(remainder.fitted_variances(vector, square, 0.0), remainder.default_variances)
     larger = [remainder.fitted_variances(vector, 1.0, named) - DEFAULT_VARIANCE for named in (100.0, 400.0)]
     np.testing.assert_allclose(larger[1], 4.0 * larger[0])
     assert 0.0 < larger[0][0] < 100.0

@@ -23,9 +23,9 @@ from geomid_ros.monitoring.change_detection import ChangeDetector, ChannelGap
 from geomid_ros.options import silent
 from geomid_ros.session import gap
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import identified_session, lacking_in_messages
+from geomid_ros.session.gap import identified_session, remainder_in_messages
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import JOINT_STATES, Accepted, Recent
+from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Recent
 
 NOISE, RIPPLE, WAVES = 0.02, 0.5, 14.0  # [N m], [N m] and per radian, at joint2
 PATIENCE = 600.0  # [s]
@@ -42,7 +42,9 @@ class Rippling:
         measured[:, 1] += RIPPLE * np.sin(WAVES * moving.position[:, 1])
         measured += NOISE * rng.normal(size=measured.shape)
         stamps = 10_000_000 * np.arange(1, len(measured) + 1)
-        self.messages = [Accepted(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, measured]))]
+        self.messages = [
+            AcceptedMessages(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, measured]))
+        ]
         pipeline = self.session.new_pipeline()
         pipeline.push_accepted(self.messages[0])
         samples = pipeline.collect()
@@ -120,7 +122,7 @@ def test_it_is_of_all_messages_that_the_estimate_is_from_whether_a_gap_is_open_o
     worker: Any = SimpleNamespace(session=arm.session, messages=lambda: arm.messages, messages_before_gap=lambda: early)
     saving.begin(worker, arm.estimate, lambda _: None)
     saved = identified_session(arm.session, arm.estimate)
-    expected, other = (lacking_in_messages(saved, each) for each in (arm.messages, early))
+    expected, other = (remainder_in_messages(saved, each) for each in (arm.messages, early))
     remainder = read_remainder(tmp_path / POSTERIOR)
     assert expected is not None
     assert other is not None
@@ -134,7 +136,7 @@ def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_
     """That was saved meanwhile."""
     other = arm.session.identifier.solve()
 
-    def save_other() -> list[Accepted]:
+    def save_other() -> list[AcceptedMessages]:
         saving.save_last(arm.session, other, PATIENCE)
         return arm.messages
 
@@ -147,7 +149,7 @@ def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_
 def test_messages_before_a_gap(opened: tuple[int | None, int | None], count: int) -> None:
     """That opened first; all of them without one."""
     recent = Recent(1.0)
-    recent(Accepted(JOINT_STATES, 10 * np.arange(1, 101), np.zeros((100, 9))))
+    recent(AcceptedMessages(JOINT_STATES, 10 * np.arange(1, 101), np.zeros((100, 9))))
     detector = ChangeDetector([Channel(name="joint", unit="N m", columns=np.arange(1))])
     detector.gaps = tuple(ChannelGap(f"joint{place}", 3.0, since) for place, since in enumerate(opened))
     own: Any = SimpleNamespace(session=SimpleNamespace(recent=recent), solver=SimpleNamespace(detector=detector))

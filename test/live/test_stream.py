@@ -12,7 +12,7 @@ from files.recordings import BAGS, TYPES
 import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.live.stream import Stream
+from geomid_ros.live.effort_predictor import EffortPredictor
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.model.samples import samples_of
 from geomid_ros.monitoring.payload_watch import CarriedPayload
@@ -68,8 +68,8 @@ def test_messages_are_predicted_as_rows_predict_their_motion(
 ) -> None:
     """The acceleration lags by a few milliseconds; nothing else does."""
     session, estimate = identification.session, identification.estimate
-    stream, sent = Stream(), messages(names, velocities)
-    stream.use(session, estimate)
+    stream, sent = EffortPredictor(), messages(names, velocities)
+    stream.set_model(session, estimate)
     found = [p for begin in range(0, len(sent), together) for p in stream.predict(sent[begin : begin + together])]
     assert np.concatenate([p.stamps for p in found]).tolist() == [round(1e9 * time) for time in TIMES]
     assert {predicted.joints for predicted in found} == {JOINTS}
@@ -97,11 +97,11 @@ def test_efforts_are_those_of_the_rows(identification: Identification) -> None:
 def test_efforts_are_in_the_unit_of_the_messages(identification: Identification) -> None:
     options = {"gain": GAINS, "candidates": []}
     other = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", **options).session
-    streams = Stream(), Stream()
+    streams = EffortPredictor(), EffortPredictor()
     estimate = replace(identification.estimate, parameters=other.model.nominal_parameters)
-    streams[0].use(other, estimate)
+    streams[0].set_model(other, estimate)
     plain = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", candidates=[]).session
-    streams[1].use(plain, estimate)
+    streams[1].set_model(plain, estimate)
     with_gains, without = (next(s.predict(messages())).efforts for s in streams)
     np.testing.assert_allclose(with_gains * [*GAINS.values()], without, atol=1e-9)
 
@@ -109,19 +109,19 @@ def test_efforts_are_in_the_unit_of_the_messages(identification: Identification)
 def test_what_is_carried_is_predicted_until_it_is_put_down(identification: Identification) -> None:
     """At once, whether an estimate comes before it or after it."""
     session, estimate = identification.session, identification.estimate
-    stream, sent = Stream(), messages()
+    stream, sent = EffortPredictor(), messages()
     columns = slice(len(session.model.nominal_inertias) - 10, len(session.model.nominal_inertias))
     body = pseudo_inertia.parameters_of(np.array([1.5, 0.0, 0.0, 0.1, 1e-2, 0.0, 1e-2, 0.0, 0.0, 1e-2]))
     heavier = estimate.parameters.copy()
     heavier[columns] += body
     carried = CarriedPayload("tool", columns, body, np.eye(10), 0, 0)
-    stream.carry(carried)
-    stream.use(session, estimate)
+    stream.set_payload(carried)
+    stream.set_model(session, estimate)
     for parameters in (heavier, estimate.parameters):
         found = list(stream.predict(sent))
         expected = session.model.predicted_efforts(samples_of(found[0].motion), parameters)
         np.testing.assert_allclose(found[0].efforts, expected, atol=1e-6)
-        stream.carry(None)
+        stream.set_payload(None)
 
 
 def spoiled(random: np.random.Generator) -> list[tuple[int, FloatArray, FloatArray]]:
@@ -174,12 +174,12 @@ def test_each_message_follows_the_one_before_however_many_come_at_once(
     random, urdf = np.random.default_rng(seed), (BAGS / "arm3.urdf").read_text(encoding="utf-8")
     endless = urdf.replace('<joint name="joint2" type="revolute">', '<joint name="joint2" type="continuous">')
     session = Session(endless, identification.session.configuration, "endless")
-    sent, stream = spoiled(random), Stream()
+    sent, stream = spoiled(random), EffortPredictor()
     estimate = replace(identification.estimate, parameters=session.model.nominal_parameters)
     data = [message(stamp, JOINTS, position, velocity) for stamp, position, velocity in sent]
     found, begin = list[FloatArray](), 0
     while begin < len(data):
-        stream.use(session, estimate)  # a new estimate does not disturb the motion
+        stream.set_model(session, estimate)  # a new estimate does not disturb the motion
         end = begin + int(random.choice([1, 2, 5, 60]))
         found += [predicted.motion for predicted in stream.predict(data[begin:end])]
         begin = end
@@ -193,8 +193,8 @@ def test_each_message_follows_the_one_before_however_many_come_at_once(
 
 def test_a_clock_may_begin_at_zero(identification: Identification) -> None:
     """Of the first message no acceleration is known."""
-    stream = Stream()
-    stream.use(identification.session, identification.estimate)
+    stream = EffortPredictor()
+    stream.set_model(identification.session, identification.estimate)
     first = next(stream.predict(messages(first=0.001)[:2]))
     np.testing.assert_array_equal(first.motion[2, 0], 0.0)
 
@@ -203,12 +203,12 @@ def test_another_robot_begins_anew(identification: Identification) -> None:
     urdf, sent = (BAGS / "arm3.urdf").read_text(encoding="utf-8"), messages()
     locked = Session(urdf, Configuration({"locked_joints": ["joint2"]}), "locked")
     estimate = replace(identification.estimate, parameters=locked.model.nominal_parameters)
-    streams = Stream(), Stream()
-    streams[0].use(identification.session, identification.estimate)
+    streams = EffortPredictor(), EffortPredictor()
+    streams[0].set_model(identification.session, identification.estimate)
     assert [*streams[0].predict(sent[:10])]
     found = []
     for stream in streams:
-        stream.use(locked, estimate)
+        stream.set_model(locked, estimate)
         found.append(np.concatenate([each.motion for each in stream.predict(sent[10:20])], axis=1))
     assert found[0].shape == (3, 10, 2)
     np.testing.assert_array_equal(*found)
@@ -219,8 +219,8 @@ def test_stamps_twice_and_in_the_wrong_order_change_no_acceleration(
     velocities: bool, identification: Identification
 ) -> None:
     def motion_of(sent: list[bytes]) -> FloatArray:
-        stream = Stream()
-        stream.use(identification.session, identification.estimate)
+        stream = EffortPredictor()
+        stream.set_model(identification.session, identification.estimate)
         return np.concatenate([predicted.motion for predicted in stream.predict(sent)], axis=1)
 
     sent = messages(velocities=velocities)
@@ -234,9 +234,9 @@ def test_stamps_twice_and_in_the_wrong_order_change_no_acceleration(
 
 def test_what_cannot_be_used_costs_itself(identification: Identification) -> None:
     """Messages of other joints, torn ones, and those after a pause, of which no acceleration is known."""
-    stream, sent = Stream(), messages()
+    stream, sent = EffortPredictor(), messages()
     assert [*stream.predict(sent[:3])] == []
-    stream.use(identification.session, identification.estimate)
+    stream.set_model(identification.session, identification.estimate)
     torn = [b"", sent[0][:40], *messages(("joint1", "joint2", "elbow"))[:1]]
     assert sum(len(p.stamps) for p in stream.predict([*torn, *sent[:10]])) == 10
     assert stream.refused.total() == 1

@@ -114,8 +114,8 @@ def test_a_link_that_no_body_can_be_is_repaired_and_told(case: str, floating: bo
     second = np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters)[:3, :3])
     radius = np.cbrt(2.0 / 7850.0 / (4.0 / 3.0 * np.pi))
     np.testing.assert_array_less((1.0 - 1e-9) * 2.0 * radius**2 / 5.0, second)
-    (sentence,) = arm.repaired.values()
-    assert list(arm.repaired) == ["lower"]
+    (sentence,) = arm.inertia_repairs.values()
+    assert list(arm.inertia_repairs) == ["lower"]
     for word in ("'lower'", "kg m^2", "mm"):
         assert word in sentence
 
@@ -133,13 +133,13 @@ def test_a_bad_description_is_refused(case: str) -> None:
 def test_an_impossible_base_does_not_matter_while_it_stands() -> None:
     text = robot(link("base", MASS + INERTIA.replace('izz="1"', 'izz="3"')), *ARM[1:])
     assert Robot(text).body_names == ("upper", "lower")
-    assert not Robot(text).repaired
-    assert list(Robot(text, floating_base=True).repaired) == ["base"]
+    assert not Robot(text).inertia_repairs
+    assert list(Robot(text, floating_base=True).inertia_repairs) == ["base"]
 
 
 def test_an_impossible_part_is_named_with_what_it_is_merged_with() -> None:
     bad = link("tool", MASS + INERTIA.replace('izz="1"', 'izz="9"'))
-    (sentence,) = Robot(robot(*ARM, bad, joint("flange", "lower", "tool", "fixed"))).repaired.values()
+    (sentence,) = Robot(robot(*ARM, bad, joint("flange", "lower", "tool", "fixed"))).inertia_repairs.values()
     assert "'lower' (with lower, tool)" in sentence
 
 

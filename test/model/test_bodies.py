@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.urdf_tree import axes_of
 from geomid_ros.types import FloatArray
@@ -80,7 +80,7 @@ def test_massless_links_are_no_unknowns() -> None:
     assert (len(robot.tree.links), len(masses(text)), len(robot.bodies)) == (37, 18, 18)
     assert set(robot.body_names) == set(masses(text))
     assert len(robot.joints) == 36
-    assert robot.massless == (), "nothing is between joints at one place"
+    assert robot.massless_links == (), "nothing is between joints at one place"
 
 
 def test_a_link_that_carries_a_joint_elsewhere_is_missed_without_a_mass() -> None:
@@ -90,7 +90,7 @@ def test_a_link_that_carries_a_joint_elsewhere_is_missed_without_a_mass() -> Non
         for child in list(link):
             if child.tag != "inertial" or link.get("name") == "upper_arm_link":
                 link.remove(child)
-    assert Robot(ElementTree.tostring(root, encoding="unicode")).massless == ("upper_arm_link",)
+    assert Robot(ElementTree.tostring(root, encoding="unicode")).massless_links == ("upper_arm_link",)
 
 
 CUTS = pytest.mark.parametrize(

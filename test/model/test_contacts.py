@@ -12,7 +12,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import identified_effect
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray

@@ -23,7 +23,7 @@ from geomid_ros.model.effects.drive import (
 )
 from geomid_ros.model.effects.friction import CoulombFriction, LoadFriction, StribeckFriction
 from geomid_ros.model.effects.sensor_errors import EffortGain
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -108,7 +108,7 @@ def test_each_column_is_what_it_is_by_itself() -> None:
     carried = still(entries.values(MOTION), entries)
     for column in COLUMNS:
         np.testing.assert_array_equal(carried.column(column), column.values(MOTION))
-        for joint in column.reached(4):
+        for joint in column.affected_joints(4):
             entry = carried.effects[:, entries.at(column, joint)]
             np.testing.assert_array_equal(entry, column.values(MOTION)[:, joint])
 
@@ -173,9 +173,9 @@ def test_an_offset_that_is_unsure_makes_the_rest_of_a_spring_unsure() -> None:
 
 
 def test_the_scanned_constant_is_as_sure_as_its_logarithm() -> None:
-    speed = StribeckFriction(0.2).quantities(np.array([1.0, 0.5]), np.zeros((2, 2)), unsure=0.1)["speed"]
+    speed = StribeckFriction(0.2).quantities(np.array([1.0, 0.5]), np.zeros((2, 2)), log_std=0.1)["speed"]
     assert (speed.value, speed.std) == (0.2, pytest.approx(0.02))
-    play = Backlash(3).quantities(np.array([0.01]), np.array([[1e-6]]), unsure=0.2, usual_load=5.0)["drag"]
+    play = Backlash(3).quantities(np.array([0.01]), np.array([[1e-6]]), log_std=0.2, usual_load=5.0)["drag"]
     assert play.value == pytest.approx(5.0 * CROSSINGS[3] / 0.01)
     assert play.std / play.value == pytest.approx(np.hypot(0.2, 0.1))
 

@@ -75,20 +75,20 @@ def test_what_can_be_identified_is_linear_in_coefficients_of_its_own() -> None:
     assert not set(DEFAULT_CANDIDATES) & set(DEFAULT_EFFECTS)
     for name, effect in identifiable().items():
         assert effect.name == name
-        assert effect.own
-        assert set(effect.own) <= set(effect.parameters)
-        assert len(effect.own) == effect.count
-        assert 0 <= effect.own_positives <= effect.count
+        assert effect.column_parameters
+        assert set(effect.column_parameters) <= set(effect.parameters)
+        assert len(effect.column_parameters) == effect.count
+        assert 0 <= effect.column_positives <= effect.count
         if not isinstance(effect, SensorEffect):
-            (form,) = effect.own
-            assert form.above != 0.0 or effect.own_positives == 1
+            (form,) = effect.column_parameters
+            assert form.above != 0.0 or effect.column_positives == 1
 
 
 @pytest.mark.parametrize("effect", identifiable().values(), ids=identifiable())
 def test_what_was_identified_is_known_again(effect: IdentifiedEffect) -> None:
     """By its own coefficient and constants alone, whatever else belongs to the effect."""
     for trial in type(effect).coarse_grid():
-        for index, form in enumerate(trial.own):
+        for index, form in enumerate(trial.column_parameters):
             found = Coefficient(
                 effect=trial, place=AtJoint(0), index=index, place_name="j", parameter=form.name, unit=form.units[0]
             ).parameters(0.7, 0.1)

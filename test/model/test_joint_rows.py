@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 

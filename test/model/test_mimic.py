@@ -10,7 +10,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import EFFECTS, OnLink, identified_effect
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -89,7 +89,7 @@ def test_they_are_not_joints_of_their_own() -> None:
     assert robot.joint_names == ("lift", "turn", "grip")
     assert set(robot.body_names) == {f"{name}_link" for name in MASSES}
     assert Robot(description(MASSES), locked_joints=["turn"]).joint_names == ("lift", "grip")
-    assert Robot(description(MASSES), locked_joints=["turn"]).followers[0].joint.name == "other_finger"
+    assert Robot(description(MASSES), locked_joints=["turn"]).mimic_joints[0].joint.name == "other_finger"
     assert Robot(description(MASSES), locked_joints=["crank"]).joint_names == ("lift", "turn", "grip")
 
 

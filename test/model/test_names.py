@@ -10,7 +10,7 @@ from signals.sent import WrenchMessage
 from geomid_ros.errors import InputError
 from geomid_ros.model.channels import AXES, ROLES, WORLD_FRAMES, WrenchSensor
 from geomid_ros.model.effects import identifiable, identified_effect
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings

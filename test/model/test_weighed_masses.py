@@ -8,7 +8,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import identifiable
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.weighed_masses import WeighedMass, weighed_rows
 from geomid_ros.types import FloatArray

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import firwin, lfilter
 
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.measurement import Rows
+from geomid_ros.model.measurement_model import Rows
 from geomid_ros.monitoring.change_detection import BLOCK, LATE, ChangeDetector, ChannelGap
 from geomid_ros.types import FloatArray
 

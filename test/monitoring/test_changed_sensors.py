@@ -7,7 +7,7 @@ from files.recordings import BAGS
 
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.monitoring.change_detection import LATE, ChannelGap, changed_sensors, sensor_channels
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.model.measurement import Channel, Rows
+from geomid_ros.model.measurement_model import Channel, Rows
 from geomid_ros.monitoring.change_detection import _FEWEST, BLOCK, ChangeDetector, _Cusum
 
 COLUMNS = 4

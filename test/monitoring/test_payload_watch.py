@@ -12,11 +12,11 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import ALARM, ChangeDetector, ChannelGap
-from geomid_ros.monitoring.payload_watch import CarriedPayload, Noise, PayloadWatch
+from geomid_ros.monitoring.payload_watch import CarriedPayload, ChannelNoise, PayloadWatch
 
 RATE = 50.0  # [Hz]
 BEFORE, AFTER, END = 50.0, 65.0, 80.0  # [s]
@@ -157,7 +157,7 @@ def test_what_was_learned_of_the_robot_is_forgotten_as_time_goes_by() -> None:
     same = replace(rows, **{name: values[:10] for name, values in vars(rows).items()})
     learned = []
     for block in range(60):
-        watch.update(10 * block, measured.stamps[:10], same, [Noise()] * 3, share)
+        watch.update(10 * block, measured.stamps[:10], same, [ChannelNoise()] * 3, share)
         learned.append(watch._baselines[0].information.copy())
     np.testing.assert_allclose(learned[59], (1.0 + share**20) * learned[39], rtol=1e-9)
 
@@ -172,7 +172,7 @@ def test_what_is_carried_is_not_learned_from() -> None:
     found = []
     for measured, carried in ((bare, None), (with_load, load)):
         identifier = Identifier(arm.model)
-        _, rows, _ = identifier.add(measured.select(between), carried=carried)
+        _, rows, _ = identifier.add(measured.select(between), payload_parameters=carried)
         assert rows.targets == pytest.approx(arm.model.rows(measured.select(between)).targets, nan_ok=True)
         found.append(identifier.solve().parameters)
     assert found[0] == pytest.approx(found[1], rel=1e-3, abs=1e-3)

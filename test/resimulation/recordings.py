@@ -14,10 +14,10 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import KnownEffect
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.resimulate import Noise
+from geomid_ros.resimulation.resimulate import ResidualNoise
 from geomid_ros.types import FloatArray
 
 ARM = read_urdf(Path(__file__).parents[2] / "bags/arm3.urdf")
@@ -53,9 +53,9 @@ def smooth_noise(count: int, seed: int) -> FloatArray:
     return FLOOR * noise / np.sqrt(np.mean(noise**2, axis=0))
 
 
-def noise_example(seed: int = 99) -> Noise:
+def noise_example(seed: int = 99) -> ResidualNoise:
     """The same kind of noise, at another time."""
-    return Noise(tuple(channel.name for channel in MODEL.channels), PERIOD, smooth_noise(3000, seed))
+    return ResidualNoise(tuple(channel.name for channel in MODEL.channels), PERIOD, smooth_noise(3000, seed))
 
 
 def nothing(position: FloatArray, *_: FloatArray) -> FloatArray:

@@ -10,10 +10,10 @@ from files.effects import effect
 from model.robots import with_values
 
 from geomid_ros.files.models.written_model import ModelFiles
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.closed_loop import closed_loop
+from geomid_ros.resimulation.closed_loop import resimulate_closed_loop
 from geomid_ros.resimulation.resimulate import NotSimulatedError, Resimulated
 from geomid_ros.resimulation.written_robot import load_mujoco
 from geomid_ros.types import FloatArray
@@ -37,7 +37,7 @@ def commands(samples: Samples, effort: FloatArray, seed: int = 5) -> Samples:
 
 
 def simulated(before: ModelFiles, after: ModelFiles, data: Samples, wanted: Samples) -> Resimulated:
-    return closed_loop(MODEL, before, after, [data], [wanted], noise=noise_example(), cutoff=CUTOFF)
+    return resimulate_closed_loop(MODEL, before, after, [data], [wanted], noise=noise_example(), cutoff=CUTOFF)
 
 
 def test_a_right_model_needs_the_measured_efforts(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_what_cannot_be_simulated_says_why(tmp_path: Path) -> None:
         simulated(ok, ok, exact, unrelated)
     floating = MeasurementModel(Robot(ARM, floating_base=True, cuts=["wrist_ft"]), (), MODEL.sensors)
     with pytest.raises(NotSimulatedError, match="base floats"):
-        closed_loop(floating, ok, ok, [exact], [exact], noise=noise_example(), cutoff=CUTOFF)
+        resimulate_closed_loop(floating, ok, ok, [exact], [exact], noise=noise_example(), cutoff=CUTOFF)
 
 
 SPINNING = "<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>"

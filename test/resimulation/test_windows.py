@@ -17,10 +17,16 @@ from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.resimulate import Noise, NotSimulatedError, Resimulated, resimulate, stretches
+from geomid_ros.resimulation.resimulate import (
+    NotSimulatedError,
+    ResidualNoise,
+    Resimulated,
+    resimulate,
+    uniform_segments,
+)
 from geomid_ros.types import FloatArray
 
 from .recordings import ARM, FLOOR, JOINTS, MODEL, PERIOD, Added, files, noise_example, recording
@@ -194,7 +200,7 @@ def test_pauses_are_not_simulated_across(tmp_path: Path) -> None:
     data = recording()
     keep = np.ones(len(data), dtype=bool)
     keep[900:1200] = False
-    assert len(stretches([data.select(keep)])) == 2
+    assert len(uniform_segments([data.select(keep)])) == 2
     found = simulated(files(tmp_path, "a"), files(tmp_path, "a"), data.select(keep))
     assert max(found.after.values()) < 1.0 + SCATTER
 
@@ -249,7 +255,7 @@ def test_noise_is_the_remainder_at_the_size_of_the_floor() -> None:
         stamps=np.arange(len(remainder)) * 10_000_000, measured=remainder + 7.0, after=np.full(remainder.shape, 7.0)
     )
     names = [channel.name for channel in MODEL.channels]
-    found = Noise.of(cast(GapResult, SimpleNamespace(trace=trace, channels=tuple(names), floor=FLOOR)))
+    found = ResidualNoise.of(cast(GapResult, SimpleNamespace(trace=trace, channels=tuple(names), floor=FLOOR)))
     assert found.period == pytest.approx(PERIOD)
     np.testing.assert_allclose(np.sqrt(np.nanmean(found.values[:, :8] ** 2, axis=0)), FLOOR[:8])
     np.testing.assert_allclose(found.values[:, 0], noise_example().values[:, 0])

@@ -49,7 +49,7 @@ class Carrying(Listener):
     def __init__(self, said: list[str]) -> None:
         self._said = said
 
-    def carried(self, carried: CarriedPayload | None) -> None:
+    def on_payload(self, carried: CarriedPayload | None) -> None:
         self._said.append(f"carries {carried}")
 
 

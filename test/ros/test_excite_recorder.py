@@ -12,7 +12,7 @@ from rosbags.rosbag2 import Writer
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.ros.excite.robot import Recorder
+from geomid_ros.ros.excite.robot_monitor import Recorder
 
 TEXT = "std_msgs/msg/String"
 TOPICS = {"/said": TEXT, "/robot_description": TEXT}
@@ -30,7 +30,7 @@ def test_everything_is_recorded_in_its_order(tmp_path: Path) -> None:
     assert recorder.problem == ""
     with Bag(tmp_path / "bag") as bag:
         assert bag.warnings == ()
-        assert bag.checked
+        assert bag.has_checksums
     items = recorded(tmp_path / "bag")
     assert [item.message.data for item in items] == texts
     assert [item.time for item in items] == sorted(item.time for item in items)
@@ -46,7 +46,7 @@ def test_the_bag_is_whole_after_an_error(tmp_path: Path) -> None:
         interrupted()
     with Bag(tmp_path / "bag") as bag:
         assert bag.warnings == ()
-        assert bag.checked
+        assert bag.has_checksums
         assert bag.count(["/said"]) == 1
 
 

@@ -17,10 +17,10 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmarks.trajectory_controller import GONE, STRONG
-from geomid_ros.excitation.watch import MotionMonitor
+from geomid_ros.excitation.motion_monitor import MotionMonitor
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories import read_trajectory
-from geomid_ros.ros.excite.run import Order, prepared_run
+from geomid_ros.ros.excite.run import MotionRequest, prepared_run
 from geomid_ros.session.options import RunOptions
 
 from .processes import Process
@@ -53,7 +53,7 @@ def states(bag: Path) -> list[Recorded]:
     """The joint states in a bag, which must be whole and have its checksums."""
     with Bag(bag) as opened:
         assert opened.warnings == ()
-        assert opened.checked
+        assert opened.has_checksums
     return [item for item in recorded(bag) if item.topic == "/joint_states"]
 
 
@@ -162,7 +162,7 @@ def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.Monk
     controller(stage)
     commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
     path = bump(JOINTS, 20.0).write(stage.folder / "trajectory.yaml", 100)
-    order = Order(
+    order = MotionRequest(
         motion=read_trajectory(path),
         source=str(path),
         speed=1.0,

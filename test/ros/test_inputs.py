@@ -11,8 +11,8 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
+from geomid_ros.live.effort_predictor import Predicted
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.stream import Predicted
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.streaming import serialised
 from geomid_ros.signals.ledger import Account, Ledger

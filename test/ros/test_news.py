@@ -13,7 +13,7 @@ from files.recordings import BAGS
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.live.status import Status
 from geomid_ros.ros import console as module
-from geomid_ros.ros.console import AGAIN, Console, News
+from geomid_ros.ros.console import AGAIN, Console, StatusEvents
 from geomid_ros.signals.ledger import Account
 
 from .stage import NO_CHOICE, Stage, description
@@ -35,7 +35,7 @@ def status(received: int, told: dict[str, bool] | None = None, accepted: int | N
 
 
 def said(*seconds: Status) -> list[list[str]]:
-    news = News()
+    news = StatusEvents()
     return [[*news.since(second)] for second in seconds]
 
 

@@ -16,7 +16,6 @@ import pytest
 from files.recordings import BAGS
 from signals.feeding import completed
 
-from geomid_ros.checks import check
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask, Identifier
@@ -104,7 +103,7 @@ def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypa
     supervisor.build(read_urdf(BAGS / "arm3.urdf"), "arm3.urdf")
     assert supervisor.worker is not None
     with closing(supervisor.worker) as worker:
-        monkeypatch.setattr(check, "judge_efforts", None)
+        monkeypatch.setattr(recording_check, "judge_efforts", None)
         for joints in parts(2000, worker.session):
             worker.session.review.check.add(joints)
         worker.session.review.judge()

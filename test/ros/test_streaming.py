@@ -74,7 +74,7 @@ def test_messages_that_were_predicted_are_taken_with_all_others_as_they_came(
     identification: geomid_ros.Identification,
 ) -> None:
     listened = Listened()
-    listened.streaming.use(identification.session, identification.estimate)
+    listened.streaming.set_model(identification.session, identification.estimate)
     wrenches = [Received("/wrench", b"", time) for time in (1.5, 2.5)]
     states = [Received(JOINT_STATES, data, time) for time, data in enumerate(messages()[:3], 1)]
     listened.waiting = [*wrenches, *states[:2]]
@@ -83,8 +83,8 @@ def test_messages_that_were_predicted_are_taken_with_all_others_as_they_came(
     assert len(listened.streamed) == 2
     assert listened.waiting == wrenches
     listened.waiting.append(states[2])
-    assert [message.time for message in listened.streaming.waiting()] == [1, 1.5, 2, 2.5, 3]
-    assert listened.streaming.waiting() == []
+    assert [message.time for message in listened.streaming.drain()] == [1, 1.5, 2, 2.5, 3]
+    assert listened.streaming.drain() == []
 
 
 def session(**parameters: Any) -> Session:
@@ -97,7 +97,7 @@ def test_a_message_that_cannot_be_predicted_is_told_once(
     merge: bool, why: str, identification: geomid_ros.Identification
 ) -> None:
     listened = Listened()
-    listened.streaming.use(session(merge_joint_states=merge), identification.estimate)
+    listened.streaming.set_model(session(merge_joint_states=merge), identification.estimate)
     part = messages(("joint1", "joint2"))[:3]
     for _ in range(2):
         listened.hear([*part, *messages()[:2]])
@@ -113,7 +113,7 @@ def test_a_robot_that_cannot_be_predicted_is_told_who_subscribes(
     floating: bool, why: str, subscribers: int, identification: geomid_ros.Identification
 ) -> None:
     listened = Listened(subscribers)
-    listened.streaming.use(session(floating_base=floating, **HELD), identification.estimate)
+    listened.streaming.set_model(session(floating_base=floating, **HELD), identification.estimate)
     for _ in range(2):
         listened.hear(messages()[:2])
     assert not listened.streamed

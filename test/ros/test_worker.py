@@ -51,10 +51,10 @@ class Watched(Listener):
         self.on_estimate: Any = self.estimates.put
         self.worker = Worker(self.session, solve_period, self)
 
-    def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:  # noqa: ARG002
+    def on_samples(self, session: Session, samples: Samples, estimate: Estimate) -> None:  # noqa: ARG002
         self.samples += len(samples)
 
-    def estimate(self, session: Session, estimate: Estimate) -> None:  # noqa: ARG002
+    def on_estimate(self, session: Session, estimate: Estimate) -> None:  # noqa: ARG002
         self.on_estimate(estimate)
 
     def close(self) -> None:
@@ -111,7 +111,7 @@ def test_changes_are_looked_for_as_soon_as_there_are_rows_enough(quiet: Watched)
     """Not at the end of a period: this one never ends."""
     quiet.feed()
     wait_until(
-        lambda: 5 * BLOCK < quiet.session.identifier.instants < quiet.worker.solver.detector.searched_until + BLOCK
+        lambda: 5 * BLOCK < quiet.session.identifier.sample_count < quiet.worker.solver.detector.searched_until + BLOCK
     )
 
 

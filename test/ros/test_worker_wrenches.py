@@ -106,7 +106,7 @@ class Working:
         """Take messages; the status once all that can be judged is."""
         self.take(items)
         self.final()
-        assert self.session.identifier.instants - self.worker.solver.detector.searched_until < BLOCK
+        assert self.session.identifier.sample_count - self.worker.solver.detector.searched_until < BLOCK
         return self.status()
 
     def take(self, items: list[Recorded]) -> None:
@@ -121,7 +121,7 @@ class Working:
 
     def judge(self) -> None:
         """All rows so far, in the thread that judges: another one would judge beside it."""
-        self.worker.solver.watch()
+        self.worker.solver.request_change_search()
         judged = threading.Event()
         self.worker.solver._requests.put(judged.set)
         assert judged.wait(PATIENCE)
@@ -200,7 +200,7 @@ def test_what_was_solved_for_from_bad_rows_is_forgotten(busy: Working, monkeypat
     before, after = split(items, 1.5)
     busy.feed(before)
     assert not busy.worker._wrenches._check.ended
-    wait_until(lambda: busy.session.warm is not None)
+    wait_until(lambda: busy.session.warm_start is not None)
     starts: list[Any] = []
     solve = busy.session.identifier.solve
     known = busy.session.identifier
@@ -274,7 +274,7 @@ def test_what_was_solved_for_before_a_change_was_noticed_chooses_nothing(working
     """Neither where the next solve begins nor the prior's weight."""
     before, after = split(messages(TARED + 6.0, wrist=biased([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])), TARED)
     working.feed(before)
-    assert working.session.warm is not None
+    assert working.session.warm_start is not None
     working.take(after)
     working.judge()
     assert working.worker.solver.changed_sensors == ("/wrist",)

@@ -45,7 +45,7 @@ class TestShippedFile:
     """config/geomid.yaml"""
 
     def test_it_gives_every_parameter_its_default(self) -> None:
-        given = Configuration.read(FILE).given
+        given = Configuration.read(FILE).given_values
         single = [parameter for parameter in PARAMETERS if "*" not in parameter.name]
         assert given.keys() == {parameter.name for parameter in single}
         for parameter in single:
@@ -76,7 +76,7 @@ class TestShippedFile:
         assert configuration.signals(["shoulder_pan_joint"]).effort_gain == {"shoulder_pan_joint": 13.6}
         channels = ["shoulder_pan_joint", "wrench/fx"]
         assert configuration.estimator(channels).sigma == {"shoulder_pan_joint": 0.5, "wrench/fx": 0.2}
-        shown = {find_parameter(name).name for name in configuration.given}
+        shown = {find_parameter(name).name for name in configuration.given_values}
         assert shown == {parameter.name for parameter in PARAMETERS}
 
 
@@ -97,7 +97,7 @@ def test_defaults() -> None:
     assert configuration.sensors == []
     np.testing.assert_array_equal(configuration.gravity, [0.0, 0.0, -9.81])
     assert configuration.estimator([]).gamma is None
-    assert configuration.given == {}
+    assert configuration.given_values == {}
 
 
 class TestValues:

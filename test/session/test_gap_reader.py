@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from files.recordings import BAGS
 
-from geomid_ros.checks.check import Excerpt, Judgement, JudgementTask, RecordingCheck
+from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.resimulation.resimulate import CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import MESSAGES_FOR_RATE, GapReader, gap_pipeline, gap_session, rate
-from geomid_ros.session.recordings import Bags, Topics, divided, read_samples
+from geomid_ros.session.gap import MESSAGES_FOR_RATE, GapReader, gap_pipeline, gap_session, message_rate
+from geomid_ros.session.recordings import Bags, Topics, read_samples, split_held_out
 from geomid_ros.session.session import Session
 from geomid_ros.signals.clocks import FEWEST
 from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF, derivative_kernels
@@ -29,11 +29,11 @@ def session() -> Session:
 
 def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -> None:
     """Read with its own low-pass, and without the columns of the effects that are searched for."""
-    (late,) = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).sharp()
+    (late,) = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).high_cutoff_samples()
     pipeline = gap_pipeline(session, min(CUTOFF, 100.0 / LOWEST_RATE_PER_CUTOFF))
     with Bag(BAG) as bag:
         everything = list(read_samples(bag, session, pipeline, Topics("joint_states", "odom")))
-    ((_, expected),) = divided([Samples.concatenate(everything)], SHARE)
+    ((_, expected),) = split_held_out([Samples.concatenate(everything)], SHARE)
     np.testing.assert_array_equal(late.stamps, expected.stamps)
     for name in ("position", "velocity", "acceleration", "effort"):
         own = expected.arrays[name]
@@ -46,7 +46,7 @@ def test_the_highest_cutoff_is_one_that_every_part_of_a_recording_allows() -> No
     rng = np.random.default_rng(1)
     for _ in range(200):
         stamps = np.cumsum(20_000_000 + 1_000_000 * rng.normal(size=(2, MESSAGES_FOR_RATE)), axis=1).astype(np.int64)
-        chosen = rate(stamps[0].tolist()) / LOWEST_RATE_PER_CUTOFF
+        chosen = message_rate(stamps[0].tolist()) / LOWEST_RATE_PER_CUTOFF
         derivative_kernels(chosen, 1e-9 * float(np.median(np.diff(stamps[1, :FEWEST]))))
 
 
@@ -62,8 +62,8 @@ def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.
 def test_of_effects_columns_only_what_is_read_is_kept_to_be_judged(session: Session) -> None:
     kept: list[Excerpt] = []
     check = RecordingCheck(
-        JudgementTask(session.model, np.ones(len(session.robot.joints)), {}),
-        lambda _, excerpt: kept.append(excerpt) or Judgement(),
+        CheckTask(session.model, np.ones(len(session.robot.joints)), {}),
+        lambda _, excerpt: kept.append(excerpt) or CheckResult(),
     )
     with Bag(BAG) as bag:
         pipeline = gap_pipeline(session, CUTOFF)
@@ -72,6 +72,6 @@ def test_of_effects_columns_only_what_is_read_is_kept_to_be_judged(session: Sess
             check.add(samples)
     assert not check.findings()
     (excerpt,) = kept
-    for samples in (excerpt.kept.samples, excerpt.kept.later, excerpt.stretch):
+    for samples in (excerpt.kept.samples, excerpt.kept.next_samples, excerpt.recent_motion):
         assert samples is not None
         assert set(samples.entries.columns) == {SIGN, SMOOTH_SIGN}

@@ -78,7 +78,7 @@ def test_it_is_read_from_the_file_beside_the_model_and_without_it_effects_are_kn
     assert here is not None
     assert alone is not None
     assert len(alone.changes) == 0
-    np.testing.assert_array_equal(deviations, own.loaded.deviations(own.model))
+    np.testing.assert_array_equal(deviations, own.loaded.coefficient_stds(own.model))
     write_posterior(tmp_path / "posterior.npz", estimate.posterior)
     read, _ = prior_information(own)
     assert read is not None

@@ -16,9 +16,9 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import silent
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.payload import WeighedPayload, weigh
+from geomid_ros.session.payload import WeighedPayload, identify_payload
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import JOINT_STATES, Accepted
+from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages
 from geomid_ros.types import FloatArray
 
 NOISE = 0.05
@@ -62,7 +62,9 @@ def recording_of_the_last_joint(seed: int) -> Samples:
 
 def weighed(seed: int, gain: float = 0.0, true_gain: float = 1.0) -> WeighedPayload:
     link = session().model.body_names[-1]
-    return weigh(session(), [recording(seed, False, true_gain)], [recording(seed, True, true_gain)], link, gain)
+    return identify_payload(
+        session(), [recording(seed, False, true_gain)], [recording(seed, True, true_gain)], link, gain
+    )
 
 
 def test_on_the_trunk_it_is_known_no_better_than_the_robots_mass(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,9 +73,9 @@ def test_on_the_trunk_it_is_known_no_better_than_the_robots_mass(monkeypatch: py
     own, share = session(), 0.02
     link = own.model.body_names[-1]
     monkeypatch.setattr(Session, "relative_mass_std", share)
-    known = weigh(own, *recordings, link)
+    known = identify_payload(own, *recordings, link)
     own.robot.tree = replace(own.robot.tree, root=link)
-    found = weigh(own, *recordings, link)
+    found = identify_payload(own, *recordings, link)
     robot = sum(body.parameters[0] for body in own.robot.bodies)
     assert np.sqrt(found.std[0] ** 2 - known.std[0] ** 2) == pytest.approx(share * robot, rel=0.2)
     np.testing.assert_array_equal(found.moment_std, known.moment_std)
@@ -92,7 +94,7 @@ def weighed_beside(estimate_of: Samples, seed: int) -> WeighedPayload:
     bare = session()
     bare.identifier.add(estimate_of)
     known = bare.identifier.solve().posterior
-    return weigh(session(), known, [recording(seed, True)], bare.model.body_names[-1], 0.0)
+    return identify_payload(session(), known, [recording(seed, True)], bare.model.body_names[-1], 0.0)
 
 
 def test_an_earlier_estimate_tells_as_much_as_its_recording() -> None:
@@ -109,7 +111,7 @@ def test_a_payload_that_is_hardly_told_can_exist() -> None:
     short = recording(0, True).select(np.arange(2000) < 50)
     bare = session()
     bare.identifier.add(recording(0, False))
-    little = weigh(session(), bare.identifier.solve().posterior, [short], bare.model.body_names[-1], 0.0)
+    little = identify_payload(session(), bare.identifier.solve().posterior, [short], bare.model.body_names[-1], 0.0)
     assert pseudo_inertia.is_body(pseudo_inertia.parameters_of(little.quantities))
     assert little.std[0] > found.std[0]
 
@@ -119,12 +121,12 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is() -> None:
     bare = session()
     bare.identifier.add(recording(0, False))
     known, link = bare.identifier.solve().posterior, bare.model.body_names[-1]
-    found = [weigh(session(), known, [recording_of_the_last_joint(seed)], link, 0.0) for seed in range(6)]
+    found = [identify_payload(session(), known, [recording_of_the_last_joint(seed)], link, 0.0) for seed in range(6)]
     off = np.array([(one.moment - MASS * COM) / one.moment_std for one in found])
     assert np.max(np.abs(off)) < 3.5
     assert all(one.only_moment_identified for one in found)
     assert not weighed(0).only_moment_identified
-    (sure,) = [weigh(session(), known, [recording_of_the_last_joint(0)], link, 0.1)]
+    (sure,) = [identify_payload(session(), known, [recording_of_the_last_joint(0)], link, 0.1)]
     assert np.all(sure.moment_std[[0, 2]] > found[0].moment_std[[0, 2]])
 
 
@@ -152,14 +154,14 @@ def test_gains_of_single_joints_are_in_the_deviations() -> None:
     assert sure.quantities.tolist() == unsure.quantities.tolist()
 
 
-def messages(seed: int, payload: bool) -> list[Accepted]:
+def messages(seed: int, payload: bool) -> list[AcceptedMessages]:
     """A minute, as a node accepts it."""
     moving, effort = measured(seed, payload, 60.0)
     stamps = 10_000_000 * np.arange(1, len(effort) + 1)
-    return [Accepted(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, effort]))]
+    return [AcceptedMessages(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, effort]))]
 
 
-def heard(own: Session, accepted: list[Accepted]) -> Samples:
+def heard(own: Session, accepted: list[AcceptedMessages]) -> Samples:
     pipeline = own.new_pipeline()
     for each in accepted:
         pipeline.push_accepted(each)
@@ -173,7 +175,7 @@ def test_gap_says_the_same_of_it() -> None:
     own, empty, loaded = session(), messages(0, False), messages(0, True)
     own.identifier.add(heard(own, empty))
     estimate = own.identifier.solve()
-    found = weigh(session(), estimate.posterior, [heard(own, loaded)], own.model.body_names[-1], 0.0)
+    found = identify_payload(session(), estimate.posterior, [heard(own, loaded)], own.model.body_names[-1], 0.0)
     (named,) = look_for_gap(own, estimate, empty, loaded, silent).result.findings
     assert (named.effect, named.link, named.confidence) == ("payload", found.link, "confident")
     mass = named.parameters["mass"]

@@ -18,7 +18,7 @@ from model.robots import fixed_base
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import SAMPLES_PER_PIECE, Samples
 from geomid_ros.session import recordings
-from geomid_ros.session.recordings import Bags, divided
+from geomid_ros.session.recordings import Bags, split_held_out
 from geomid_ros.session.training import check_measured
 
 PERIOD = 10_000_000  # [ns]
@@ -38,7 +38,7 @@ def test_the_end_is_held_out_whatever_the_batches(count: int, share: float, cuts
     whole = recording(count)
     edges = sorted({0, count, *(cut for cut in cuts if cut < count)})
     batches = [whole.select(slice(a, b)) for a, b in pairwise(edges)]
-    parts = divided(batches, share)
+    parts = split_held_out(batches, share)
     early = np.concatenate([first.stamps for first, _ in parts])
     late = np.concatenate([second.stamps for _, second in parts])
     np.testing.assert_array_equal(np.concatenate([early, late]), whole.stamps)
@@ -70,7 +70,7 @@ def test_what_is_surely_fitted_is_passed_on_while_the_bag_is_read(
     session.robot.floating_base = True
     session.model.rows.return_value.targets = np.zeros(1)
     held_out = recordings.read_bags(session, Bags(fitted=[BAG], hold_out=share), lambda s: fitted.extend(s.stamps))
-    ((early, late),) = divided([whole], share)
+    ((early, late),) = split_held_out([whole], share)
     assert fitted == early.stamps.tolist()
     assert [stamp for batch in held_out for stamp in batch.stamps] == late.stamps.tolist()
     assert kept_most <= share * 45 + size, "no more is remembered than may be held out, and what came last"
@@ -80,7 +80,7 @@ def test_what_is_surely_fitted_is_passed_on_while_the_bag_is_read(
 def test_where_the_clock_was_set_back_the_stamps_decide(order: list[tuple[int, int]]) -> None:
     whole = recording(40)
     back = Samples.concatenate([whole.select(slice(begin, end)) for begin, end in order])
-    ((early, late),) = divided([back], 0.5)
+    ((early, late),) = split_held_out([back], 0.5)
     end = back.stamps[-1] + 1
     boundary = end - round(0.5 * (end - back.stamps[0]))
     assert early.stamps.tolist() == [stamp for stamp in back.stamps if stamp < boundary]
@@ -121,4 +121,4 @@ def test_what_is_measured_late_is_measured(monkeypatch: pytest.MonkeyPatch) -> N
     ],
 )
 def test_which_share_of_which_bag(bags: Bags, shares: list[tuple[Path, float]]) -> None:
-    assert bags.shares == shares
+    assert bags.held_out_fractions == shares

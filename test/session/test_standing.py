@@ -10,7 +10,7 @@ import pytest
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.files.models import posterior as files
 from geomid_ros.gap.evidence.features import Basis, KnownRemainder
-from geomid_ros.session.gap import prior_information, standing_of
+from geomid_ros.session.gap import known_remainder_of, prior_information
 
 NOTHING = np.zeros((0, 0))
 KEPT = KnownRemainder(
@@ -37,13 +37,13 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_it_is_that_of_the_file_beside_the_estimate(beside: Path) -> None:
     own = session(beside)
-    assert standing_of(own) is KEPT
+    assert known_remainder_of(own) is KEPT
     assert not own.review.settled
 
 
 def test_of_other_channels_it_is_not_used_and_that_is_told(beside: Path) -> None:
     own = session(beside, channel="current")
-    assert standing_of(own) is None
+    assert known_remainder_of(own) is None
     assert [note.count("effort") + note.count("current") for note in own.review.settled] == [2]
 
 
@@ -55,7 +55,7 @@ def test_that_there_is_none_is_told_once(
         (tmp_path / files.POSTERIOR).touch()
         monkeypatch.setattr("geomid_ros.session.gap.read_remainder", lambda _: None)
     own = session(tmp_path)
-    assert standing_of(own) is None
+    assert known_remainder_of(own) is None
     (note,) = own.review.settled
     assert told in note
     assert "judged without it" in note
@@ -63,7 +63,7 @@ def test_that_there_is_none_is_told_once(
 
 def test_beside_a_description_alone_there_is_nothing_to_tell(tmp_path: Path) -> None:
     own = session(tmp_path, known=None)
-    assert standing_of(own) is None
+    assert known_remainder_of(own) is None
     assert not own.review.settled
 
 

@@ -16,9 +16,9 @@ from files.recordings import BAGS
 from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.files.models.written_model import WrittenModel, with_shifted_parameters, write_model, written_for
+from geomid_ros.files.models.written_model import WrittenModel, fitted_model_of, with_shifted_parameters, write_model
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session
@@ -45,7 +45,7 @@ def test_a_link_is_heavier_and_lighter_in_each_file_by_what_it_is_in_the_model(t
     )
     write_found(tmp_path / "found", session, result)
     file = EstimateFile.read(tmp_path / "found/estimate.json")
-    written = written_for(file, "urdf")
+    written = fitted_model_of(file, "urdf")
     assert written is not None
     expected = {first: BODIES[first], second: now[second], third: 1.5 * BODIES[third] + CUBE}
     for name, own in expected.items():
@@ -109,6 +109,6 @@ def test_friction_that_shrinks_is_never_less_than_nothing() -> None:
     friction = effect("coulomb_friction", "joint1", level=0.2)
     assert with_shifted_parameters(friction, {"level": -0.5}).parameters["level"].value == 0.0
     assert with_shifted_parameters(friction, {"level": -0.05}).parameters["level"].value == pytest.approx(0.15)
-    assert WrittenModel({}, (with_shifted_parameters(friction, {"level": -0.5}), friction)).said_by(
+    assert WrittenModel({}, (with_shifted_parameters(friction, {"level": -0.5}), friction)).representable_in(
         ("urdf",)
     ).effects == (friction,)

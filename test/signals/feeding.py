@@ -166,4 +166,4 @@ def assert_same(actual: Samples, expected: Samples, tolerance: float = 1e-9) -> 
 def balanced(pipeline: SignalPipeline, messages: Sequence[Message]) -> bool:
     """Whether the ledger accounts for every message."""
     accounts = pipeline.ledger.topics.values()
-    return sum(account.received for account in accounts) + pipeline.held == len(messages)
+    return sum(account.received for account in accounts) + pipeline.waiting_count == len(messages)

@@ -12,7 +12,7 @@ import pytest
 
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.messages import Accepted
+from geomid_ros.signals.messages import AcceptedMessages
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
@@ -62,7 +62,7 @@ def spoiled(seed: int, share: float) -> list[Message]:
     return result
 
 
-def pipeline(seen: list[Accepted] | None = None, **settings: Any) -> SignalPipeline:
+def pipeline(seen: list[AcceptedMessages] | None = None, **settings: Any) -> SignalPipeline:
     sensor = WrenchSensor("/wrench", "tool", "mounted", axes=("fx", "fz"))
     told = {} if seen is None else {"on_accepted": seen.append}
     return SignalPipeline(JOINTS, sensors=[sensor], settings=SignalSettings(**settings), continuous=["wrist"], **told)
@@ -80,9 +80,9 @@ def assert_same_to_the_last_digit(actual: Samples, expected: Samples) -> None:
 
 
 @cache
-def one_by_one(seed: int, share: float) -> tuple[list[Message], SignalPipeline, list[Accepted], Samples]:
+def one_by_one(seed: int, share: float) -> tuple[list[Message], SignalPipeline, list[AcceptedMessages], Samples]:
     """Messages, the pipeline that took them, what it accepted, and its samples."""
-    messages, seen = spoiled(seed, share), list[Accepted]()
+    messages, seen = spoiled(seed, share), list[AcceptedMessages]()
     alone = pipeline(seen)
     return messages, alone, seen, in_blocks(alone, messages, 1)
 
@@ -91,14 +91,14 @@ def one_by_one(seed: int, share: float) -> tuple[list[Message], SignalPipeline, 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_blocks_of_any_size_make_the_same_samples(size: int, seed: int) -> None:
     messages, alone, told, expected = one_by_one(seed, 0.04)
-    seen: tuple[list[Accepted], list[Accepted]] = (told, [])
+    seen: tuple[list[AcceptedMessages], list[AcceptedMessages]] = (told, [])
     together = pipeline(seen[1])
     assert_same_to_the_last_digit(in_blocks(together, messages, size), expected)
     ledgers = alone.ledger.topics, together.ledger.topics
     for topic, account in ledgers[0].items():
         theirs = ledgers[1][topic]
         assert (account.accepted, account.rejected) == (theirs.accepted, theirs.rejected)
-    assert alone.held == together.held
+    assert alone.waiting_count == together.waiting_count
     assert balanced(together, messages)
     assert together.unmeasured == alone.unmeasured
     for topic in ledgers[0]:
@@ -140,10 +140,10 @@ def assert_blocks_do_not_matter(rng: np.random.Generator, *, merge: bool) -> Non
     random = np.sort(rng.integers(0, len(messages), rng.integers(1, 60))).tolist()
     found = []
     for ends in (range(len(messages)), random, ()):
-        seen: list[Accepted] = []
+        seen: list[AcceptedMessages] = []
         target = randomly.pipeline(merge=merge, on_accepted=seen.append)
         samples = in_parts(target, messages, ends)
-        assert target.held == 0
+        assert target.waiting_count == 0
         assert balanced(target, messages)
         found.append((samples, target.ledger.topics, target.silent, target.unmeasured))
     for samples, *others in found[1:]:

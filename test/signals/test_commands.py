@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.model.controller import Controller
+from geomid_ros.model.controller import PDController
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
@@ -23,7 +23,7 @@ HOLD = 0.02  # [s]
 
 def controlled(delay: float = 0.0, cutoff: float = 5.0) -> SignalPipeline:
     return SignalPipeline(
-        JOINTS, settings=SignalSettings(cutoff=cutoff), controller=Controller(KP, KD, round(1e9 * delay))
+        JOINTS, settings=SignalSettings(cutoff=cutoff), controller=PDController(KP, KD, round(1e9 * delay))
     )
 
 

@@ -11,8 +11,8 @@ import pytest
 from files.recordings import BAGS, TYPES, recorded
 
 from geomid_ros.signals import decoding
-from geomid_ros.signals.arrived import inertial
 from geomid_ros.signals.decoding import Decoder, Raw
+from geomid_ros.signals.message_batch import imu_readings
 from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Block, message_type, parse
 
 NAMES = {"/joint_states": JOINT_STATES, "/wrench": "/wrench"}
@@ -116,7 +116,7 @@ def test_an_imu_is_read_with_all_its_numbers() -> None:
     raw = [serialised(*item) for item in expected]
     assert_read(decoder.blocks(raw, fail), expected)
     (block,) = decoder.blocks(raw, fail)
-    values, refusals = inertial(block)
+    values, refusals = imu_readings(block)
     np.testing.assert_array_equal(values[3], [1.0, 2.0, 3.0, 4.0, 5.0, 9.0])
     assert set(refusals) == {None}
 

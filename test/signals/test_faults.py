@@ -11,8 +11,8 @@ import pytest
 
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.arrived import MISSING_JOINT_ADVICE
-from geomid_ros.signals.messages import Accepted
+from geomid_ros.signals.message_batch import MISSING_JOINT_ADVICE
+from geomid_ros.signals.messages import AcceptedMessages
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
@@ -229,7 +229,7 @@ def test_messages_behind_one_that_fails_are_counted() -> None:
     """A slow topic: the fourth message decides on the second, which fails; the last two may go on."""
     stamps = np.array([START + 2_000_000_000 * index for index in range(4)])
 
-    def fail(accepted: Accepted) -> None:
+    def fail(accepted: AcceptedMessages) -> None:
         if accepted.stamps[0] == stamps[1]:
             raise ZeroDivisionError
 
@@ -241,4 +241,4 @@ def test_messages_behind_one_that_fails_are_counted() -> None:
         unlucky.push(messages[3])
     account = unlucky.ledger.topics["joint_states"]
     assert (account.accepted, account.dropped) == (1, {"ZeroDivisionError while taking a message": 1})
-    assert unlucky.held == 2
+    assert unlucky.waiting_count == 2

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.signals.admission import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Gate, ReorderBuffer
-from geomid_ros.signals.arrived import NO_MESSAGES, MessageBatch
-from geomid_ros.signals.settings import PATIENCE
+from geomid_ros.signals.message_batch import NO_MESSAGES, MessageBatch
+from geomid_ros.signals.reorder_buffer import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Gate, ReorderBuffer
+from geomid_ros.signals.settings import MESSAGES_UNTIL_DECISION
 
 from .feeding import START
 
@@ -26,8 +26,8 @@ def judged(*stamps: int, others: int = 0) -> tuple[list[int], list[str], list[st
         if stamp is not None:
             new = MessageBatch(np.array([place]), np.array([stamp]), np.zeros((1, 6)), np.full(1, None))
         messages, noted = gate.decide(new, place if len(new) else place - 1 + others)
-        used += messages.stamps[messages.good].tolist()
-        refused += messages.refusals[~messages.good].tolist()
+        used += messages.stamps[messages.is_usable].tolist()
+        refused += messages.refusals[~messages.is_usable].tolist()
         turns += [answer.noted for answer in noted.values() if answer.begins]
         notes += [answer.noted for answer in noted.values() if not answer.begins]
     return used, refused, [*turns, *notes], len(gate.waiting)
@@ -64,14 +64,14 @@ def test_a_topic_slower_than_the_longest_gap_takes_two_more_messages_to_tell(cou
 
 def test_a_slow_topic_does_not_keep_others_waiting_for_ever() -> None:
     later = START + 2 * MAX_GAP
-    assert judged(START, later, others=PATIENCE - 1) == ([START], [], [], 1)
-    assert judged(START, later, others=PATIENCE) == ([START, later], [], [PAUSE], 0)
+    assert judged(START, later, others=MESSAGES_UNTIL_DECISION - 1) == ([START], [], [], 1)
+    assert judged(START, later, others=MESSAGES_UNTIL_DECISION) == ([START, later], [], [PAUSE], 0)
 
 
 @pytest.mark.parametrize(("count", "expected"), [(1, ([START], [TOO_OLD], [], 0)),
                                                  (2, ([START, LATE, LATE + PERIOD], [], [SET_BACK], 0))])  # fmt: skip
 def test_a_single_late_message_sets_no_clock_back_however_long_it_waits(count: int, expected: object) -> None:
-    assert judged(START, *run(LATE, count), others=PATIENCE) == expected
+    assert judged(START, *run(LATE, count), others=MESSAGES_UNTIL_DECISION) == expected
 
 
 @pytest.mark.parametrize(("step", "is_held"), [(MAX_GAP, False), (MAX_GAP + 1, True)])

@@ -21,7 +21,7 @@ from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTA
 from geomid_ros.signals.messages import JOINT_STATES, Block
 from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
-from geomid_ros.signals.settings import PATIENCE
+from geomid_ros.signals.settings import MESSAGES_UNTIL_DECISION
 from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import blocks, joint_messages, regular, wrench_messages
@@ -88,7 +88,7 @@ class Recording:
             order = np.arange(len(stamps[part]))
             pipeline.push([Block(JOINT_STATES, order, stamps[part], self.names, tuple(a[part] for a in arrays))])
         pipeline.release()
-        assert pipeline.held == 0
+        assert pipeline.waiting_count == 0
         samples, account = pipeline.collect(), pipeline.ledger.topics[JOINT_STATES]
         assert samples is not None
         assert account.received == len(stamps)
@@ -290,23 +290,23 @@ def test_a_publisher_that_ends_holds_nothing_for_ever() -> None:
     target = pipeline(merge=False)
     for begin in range(0, len(joints), 100):
         target.push(blocks([*joints[:-1], off][begin : begin + 100]))
-    for message in wrench[: PATIENCE - 1]:
+    for message in wrench[: MESSAGES_UNTIL_DECISION - 1]:
         target.push(message)
     assert "/wrench" not in target.ledger.topics
-    for message in wrench[PATIENCE - 1 : PATIENCE + 20]:
+    for message in wrench[MESSAGES_UNTIL_DECISION - 1 : MESSAGES_UNTIL_DECISION + 20]:
         target.push(message)
-    assert target.held == 0
+    assert target.waiting_count == 0
     assert target.ledger.topics[JOINT_STATES].accepted == len(joints)
-    assert target.ledger.topics["/wrench"].accepted == PATIENCE + 20
+    assert target.ledger.topics["/wrench"].accepted == MESSAGES_UNTIL_DECISION + 20
 
 
 def test_what_is_held_at_the_end_is_dropped_and_counted() -> None:
     joints = joint_messages(regular(0.01, 3.0))
     target = pipeline(merge=False)
     target.push(blocks([*joints[:-3], replace(joints[-3], stamp=joints[-3].stamp + 200_000_000)]))
-    assert target.held == 1
+    assert target.waiting_count == 1
     target.release()
-    assert target.held == 0
+    assert target.waiting_count == 0
     assert target.ledger.topics[JOINT_STATES].dropped == {UNDECIDED: 1}
 
 
@@ -333,9 +333,9 @@ def test_at_the_end_what_waited_behind_others_is_used() -> None:
     joints, (wrench, *_) = joint_messages(regular(0.01, 3.0)), wrench_messages(regular(0.01, 3.0))
     target = pipeline(merge=False)
     target.push(blocks([wrench, replace(wrench, stamp=wrench.stamp + 50_000_000_000), *joints]))
-    assert target.held == 1 + len(joints)
+    assert target.waiting_count == 1 + len(joints)
     target.release()
-    assert target.held == 0
+    assert target.waiting_count == 0
     assert target.ledger.topics["/wrench"].dropped == {UNDECIDED: 1}
     assert target.ledger.topics[JOINT_STATES].accepted == len(joints)
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.signals.arrived import plausible
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
-from geomid_ros.signals.joint_parts import JointParts
+from geomid_ros.signals.joint_state_merger import JointStateMerger
+from geomid_ros.signals.message_batch import plausible
 
 from .feeding import START, read
 from .sent import JointMessage
@@ -171,7 +171,7 @@ def test_a_joint_comes_with_the_same_others() -> None:
     def new_reader(part: tuple[str, ...]) -> JointReader:
         return JointReader(part, np.ones(len(part)), np.zeros(len(part), dtype=bool), MAX_GAP, lambda _: None)
 
-    parts = JointParts(("a", "b", "c"), MAX_GAP, 100 * STEP, new_reader, lambda _: None)
+    parts = JointStateMerger(("a", "b", "c"), MAX_GAP, 100 * STEP, new_reader, lambda _: None)
     parts.part(("a", "c"))
     for names, said in (
         ("bc", "joint 'c' comes with others than before"),

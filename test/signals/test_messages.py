@@ -15,7 +15,7 @@ import pytest
 
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals import messages as module
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted, Recent, parse
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, AcceptedMessages, Recent, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 
 from .sent import JointMessage, WrenchMessage
@@ -59,7 +59,7 @@ MESSAGES = {JOINT_STATES: joint_state(), ODOM: odometry(), "/ft": wrench()}
 
 def accepted(*parsed: Any) -> tuple[list[tuple[str, int, list[float]]], SignalPipeline]:
     """What a pipeline for joints a and b accepts, and the pipeline."""
-    seen: list[Accepted] = []
+    seen: list[AcceptedMessages] = []
     sensors = [WrenchSensor("/ft", "tool", "mounted")]
     pipeline = SignalPipeline(["a", "b"], floating_base=True, sensors=sensors, on_accepted=seen.append)
     for message in parsed:

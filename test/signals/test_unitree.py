@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.controller import Controller
+from geomid_ros.model.controller import PDController
 from geomid_ros.signals.decoding import message_types
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, message_type, parse
 from geomid_ros.signals.unitree import LOW_CMD, LOW_STATE, UnitreeMessages
@@ -20,7 +20,7 @@ STATE = np.array([[0.5, -0.25, 3.0], [9.0, 9.0, 9.0], [1.5, 2.0, -4.0]])
 GYROSCOPE, ACCELEROMETER = np.array([0.5, 1.0, -2.0]), np.array([0.25, -0.5, 9.75])
 
 
-def messages(controller: Controller | None = None) -> UnitreeMessages:
+def messages(controller: PDController | None = None) -> UnitreeMessages:
     return UnitreeMessages(MOTORS, JOINTS, controller, "go2.yaml")
 
 
@@ -44,7 +44,7 @@ def test_a_state_is_joint_states_and_an_imu_at_the_time_at_which_it_came() -> No
 def test_set_points_mean_the_efforts_of_the_gains_that_come_with_them(kp: float) -> None:
     """Where the motors were last, with the controller's own gains: the hip's come with the command, the knee's are the
     known ones, and its set-points stay as they are."""
-    controller = Controller(np.array([20.0, 50.0]), np.array([0.5, 1.0]))
+    controller = PDController(np.array([20.0, 50.0]), np.array([0.5, 1.0]))
     own = messages(controller)
     own.translated(LOW_STATE, TIME, low_state(STATE, GYROSCOPE, ACCELEROMETER))
     knee, hip = np.array([0.75, 0.0, 1.0, 50.0, 1.0]), np.array([1.25, 3.0, 0.5, kp, 0.5])

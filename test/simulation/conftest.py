@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.recording import closed_loop, contributions, record, write_truth
+from geomid_ros.simulation.recording import contributions, control_loop, record, write_truth
 from geomid_ros.simulation.robot import TrueRobot, build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
 
@@ -28,7 +28,7 @@ class Run:
 def simulated(options: SimulationOptions, folder: Path) -> Run:
     """Run a simulation and read its truth file, written into ``folder``, by the independent route."""
     robot = build_robot(options)
-    trace = record(robot, closed_loop(robot, options), options)
+    trace = record(robot, control_loop(robot, options), options)
     write_truth(folder / "truth.json", robot, options, contributions(trace, robot, options))
     return Run(robot, trace, Independent.read(robot.nominal.text, folder / "truth.json"))
 

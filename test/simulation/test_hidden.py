@@ -14,7 +14,7 @@ from files.recordings import QUICK
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions, parse_hidden, simulate
 from geomid_ros.simulation.description import read_description
-from geomid_ros.simulation.effects.choice import chosen_effects
+from geomid_ros.simulation.effects.effect_sizes import chosen_effects
 from geomid_ros.simulation.effects.physics import TrueEffect
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray

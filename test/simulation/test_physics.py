@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.simulation.motion import FADE_IN, RunTrace
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.recording import closed_loop, record
+from geomid_ros.simulation.recording import control_loop, record
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
 
@@ -24,7 +24,7 @@ QUICK = SimulationOptions(robot="arm3", duration=4.0, coulomb_friction=0.0)
 
 def recorded(options: SimulationOptions) -> RunTrace:
     robot = build_robot(options)
-    return record(robot, closed_loop(robot, options), options)
+    return record(robot, control_loop(robot, options), options)
 
 
 def test_effort_is_the_inverse_dynamics_of_the_truth(run: Run) -> None:

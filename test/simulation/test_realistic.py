@@ -16,7 +16,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.options import LINK_MASS
 from geomid_ros.simulation.realistic import LuGre, RealisticRobot, arrival_mask, build_realistic
-from geomid_ros.simulation.recording import closed_loop
+from geomid_ros.simulation.recording import control_loop
 from geomid_ros.types import FloatArray
 
 from .independent import true_urdf
@@ -72,7 +72,7 @@ def test_the_equation_of_motion_is_pinocchios(tmp_path: Path) -> None:
     truth = json.loads(result.truth.read_text())
     model = pin.buildModelFromXML(true_urdf(build_realistic(options).nominal.text, truth))
     changed = build_realistic(options)
-    loop = closed_loop(changed, options)
+    loop = control_loop(changed, options)
     rng = np.random.default_rng(0)
     rotor = [entry["parameters"]["inertia"] for entry in truth["standing"] if entry["effect"] == "rotor_inertia"]
     spring = truth["effects"][1]["parameters"]

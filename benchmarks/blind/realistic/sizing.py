@@ -16,7 +16,7 @@ from geomid_ros.simulation.effects.physics import noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic import RealisticRobot, build_realistic, published
-from geomid_ros.simulation.recording import closed_loop, record
+from geomid_ros.simulation.recording import control_loop, record
 from geomid_ros.types import FloatArray
 
 LEAST, MOST = 3.0, 10.0
@@ -57,7 +57,7 @@ class _Run:
     def __init__(self, options: SimulationOptions) -> None:
         options = replace(options, robot=robot_file(options.robot))
         self.robot: RealisticRobot = build_realistic(options)
-        self.trace: RunTrace = record(self.robot, closed_loop(self.robot, options), options)
+        self.trace: RunTrace = record(self.robot, control_loop(self.robot, options), options)
         self.effort = noiseless_measurement(self.trace, self.robot.plant.joints, self.robot.effects).effort
         self._rate = options.rate
         self._at = np.arange(0, options.samples, max(1, round(_EVERY * options.rate)))

@@ -31,7 +31,7 @@ def read(path: Path) -> tuple[_Content, bool, bool]:
         bag.count(topics)
         for _ in bag.messages(topics):
             pass
-        return list(bag.raw_messages(topics)), not bag.warnings, bag.checked
+        return list(bag.raw_messages(topics)), not bag.warnings, bag.has_checksums
 
 
 class McapTarget:

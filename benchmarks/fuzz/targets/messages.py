@@ -66,7 +66,7 @@ class MessagesTarget:
             self._send(session, pipeline, source, random)
             self._check(session, pipeline, source)
         pipeline.release()
-        require(pipeline.held == 0, "messages are still held")
+        require(pipeline.waiting_count == 0, "messages are still held")
         self._check(session, pipeline, source)
 
     def _send(self, session: Session, pipeline: SignalPipeline, source: _Source, random: Random) -> None:
@@ -84,7 +84,7 @@ class MessagesTarget:
             topic: account.accepted + account.rejected.total() + account.dropped.total()
             for topic, account in accounts.items()
         }
-        require(sum(told.values()) + pipeline.held == source.sent.total(), f"{told} of {source.sent}")
+        require(sum(told.values()) + pipeline.waiting_count == source.sent.total(), f"{told} of {source.sent}")
         require(all(told[topic] <= source.sent[topic] for topic in told), f"{told} of {source.sent}")
         samples = pipeline.collect()
         if samples is None:

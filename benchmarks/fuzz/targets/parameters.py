@@ -95,8 +95,8 @@ class ParametersTarget:
             text = changed_text(text, random, _SNIPPETS)
         self._path.write_bytes(text.encode(errors="surrogatepass"))
         configuration = Configuration.read(self._path)
-        again = Configuration(configuration.given)
-        require(repr(again.given) == repr(configuration.given), "what was checked is not accepted again")
+        again = Configuration(configuration.given_values)
+        require(repr(again.given_values) == repr(configuration.given_values), "what was checked is not accepted again")
         _ = configuration.sensors, configuration.effects, configuration.buffer
         configuration.signals(_JOINTS)
         configuration.estimator(_JOINTS)

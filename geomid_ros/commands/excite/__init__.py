@@ -67,7 +67,7 @@ def _show(design: Excitation) -> None:
     if design.closest:
         say(console, "Smallest distance:", f" {design.closest}")
     console.print(_links(design))
-    if design.task.knowledge.posterior.effects:
+    if design.task.belief.posterior.effects:
         console.print(_effects(design))
     for decision in design.decisions:
         say(console, "Discriminates:" if decision.is_sure else "Does not discriminate:", f" {decision.sentence}")
@@ -93,8 +93,8 @@ def _margins(design: Excitation) -> Table:
 def _links(design: Excitation) -> Table:
     learning = design.learning
     table = plain_table("Standard deviation of the mass [kg]", ["link"], ["mass", *_MOTIONS])
-    masses = design.task.knowledge.posterior.parameters
-    for index, name in enumerate(design.task.knowledge.posterior.links):
+    masses = design.task.belief.posterior.parameters
+    for index, name in enumerate(design.task.belief.posterior.links):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)
         table.add_row(name, f"{masses[10 * index]:.3f}", *(f"{kind.links[index, 0]:.2g}" for kind in kinds))
     return table
@@ -106,7 +106,7 @@ def _effects(design: Excitation) -> Table:
     learning = design.learning
     table = plain_table("Standard deviation of the effects", ["effect", "at"], _MOTIONS)
     table.add_column("unit")
-    for index, effect in enumerate(design.task.knowledge.posterior.effects):
+    for index, effect in enumerate(design.task.belief.posterior.effects):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)
         stds = (f"{kind.effects[index]:.2g}" for kind in kinds)
         table.add_row(headline(effect.name), effect.place, *stds, effect.unit)

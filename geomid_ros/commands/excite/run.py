@@ -21,7 +21,7 @@ from geomid_ros.session.options import DescriptionOptions, MotionOptions, RunOpt
 
 if TYPE_CHECKING:
     from geomid_ros.api.robot import DescribedRobot
-    from geomid_ros.ros.excite.run import Order, Plan
+    from geomid_ros.ros.excite.run import MotionRequest, Plan
     from geomid_ros.session.configuration import Configuration
     from geomid_ros.session.excitation import Excitation
 
@@ -87,26 +87,27 @@ def ros_runs() -> ModuleType:
     return run
 
 
-def show_plan(order: Order, plan: Plan) -> None:
+def show_plan(order: MotionRequest, plan: Plan) -> None:
     """Print the plan of a motion."""
     from geomid_ros.report.gap_words import percent
 
     console = results_console()
     headings = ["now", "start", "distance", "lowest", "highest", "speed", "of its limit"]
     table = plain_table(f"{order.source} on {order.options.controller}", ["joint"], headings)
-    motion, current = plan.motion, plan.way.positions[0]
+    motion, current = plan.motion, plan.approach.positions[0]
     for index, joint in enumerate(motion.joints):
         positions, speed = motion.positions[:, index], motion.speeds[index]
         numbers = (current[index], positions[0], positions[0] - current[index], positions.min(), positions.max(), speed)
         share = percent(speed / plan.limits.speeds[index])
         table.add_row(joint, *(f"{number:.3f}" for number in numbers), share)
     console.print(table)
-    far = max(abs(plan.way.positions[-1] - current))
+    far = max(abs(plan.approach.positions[-1] - current))
     for note in plan.notes:
         say(console, "Note:", f" {note}")
     console.print(
-        f"Approach: {far:.3f} rad (m) to the start, in {plan.way.duration:.1f} s. Motion: {motion.duration:.1f} s at "
-        f"{100.0 * order.speed:g} % of its speed, at most {max(motion.speeds):.3f} rad/s (m/s).\n"
+        f"Approach: {far:.3f} rad (m) to the start, in {plan.approach.duration:.1f} s. "
+        f"Motion: {motion.duration:.1f} s at {100.0 * order.speed:g} % of its speed, "
+        f"at most {max(motion.speeds):.3f} rad/s (m/s).\n"
         f"It stops on Ctrl-C, if a joint is {order.options.tolerance:g} rad (m) off its trajectory, at the URDF's "
         f"limits of positions and efforts, and after {1e3 * plan.silence:.0f} ms without joint states."
     )

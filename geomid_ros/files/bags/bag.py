@@ -19,7 +19,7 @@ from typing import Any, Self
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.database import Database
 from geomid_ros.files.bags.mcap import McapFile
-from geomid_ros.files.bags.storage import METHODS, RawMessage, Storage, unpack_file, unpacked_message
+from geomid_ros.files.bags.storage import METHODS, RawMessage, Storage, decompress_file, decompress_message
 from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.signals.decoding import message_types
 
@@ -37,7 +37,7 @@ class Bag:
     The whole recording is checked when it is opened. Raises InputError naming the file if it cannot be read; for a
     damaged file it states where the damage is and how much can be read.
 
-    ``warnings`` are sentences on missing parts of the recording; ``checked`` is True if all of it has checksums.
+    ``warnings`` are sentences on missing parts of the recording; ``has_checksums`` is True if all of it has checksums.
     """
 
     def __init__(self, path: Path) -> None:
@@ -55,7 +55,7 @@ class Bag:
             self._packed = files.packed
             self._storages.sort(key=lambda storage: storage.start or 0)  # by time, as they may be listed in any order
             self.warnings = self._warnings(files)
-            self.checked = all(storage.checked for storage in self._storages)
+            self.has_checksums = all(storage.has_checksums for storage in self._storages)
             self._stack = stack.pop_all()
 
     def _warnings(self, files: _BagFiles) -> tuple[str, ...]:
@@ -159,7 +159,7 @@ class Bag:
 
     def _unpacked(self, message: RawMessage, method: str) -> RawMessage:
         try:
-            return message._replace(data=unpacked_message(message.data, method))
+            return message._replace(data=decompress_message(message.data, method))
         except ValueError as error:
             raise InputError(f"{self._where(message.topic, message.time)} cannot be unpacked, {error}") from error
 
@@ -261,7 +261,7 @@ def _checked(path: Path) -> Path:
 
 def _unpacked_file(path: Path, target: Path, method: str) -> Path:
     try:
-        unpack_file(path, target, method)
+        decompress_file(path, target, method)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as a rosbag2 recording: {error}") from error
     return target

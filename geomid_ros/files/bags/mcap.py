@@ -26,8 +26,8 @@ from geomid_ros.files.bags.storage import (
     RawMessage,
     Storage,
     TruncatedFileError,
-    unpacked,
-    unpacked_part,
+    decompress,
+    decompress_truncated,
 )
 from geomid_ros.files.disk import MOST_BYTES
 
@@ -172,7 +172,7 @@ class McapFile(Storage):
             elif kind == _Kind.DATA_END:
                 self._check_sum(0, begin, self._number(begin + _RECORD.size, 4), "data section")
                 data_end = end
-                self.checked |= self._number(begin + _RECORD.size, 4) != 0
+                self.has_checksums |= self._number(begin + _RECORD.size, 4) != 0
             elif kind == _Kind.HEADER:
                 self._check_profile(begin, end)
             elif kind in (_Kind.CHUNK, _Kind.SCHEMA, _Kind.CHANNEL, _Kind.MESSAGE):
@@ -216,10 +216,10 @@ class McapFile(Storage):
             raise FaultError(f"a record of {end - begin} bytes, more than {MOST_BYTES}", begin)
         data = memoryview(self._bytes(begin, end))
         if not chunk:
-            self.checked = False  # until the checksum of the data section is verified
+            self.has_checksums = False  # until the checksum of the data section is verified
             return _records(data)
         content, checked, truncated = _chunk_data(_Fields(data[_RECORD.size :]), end == self._size)
-        self.checked &= checked
+        self.has_checksums &= checked
         return _records(memoryview(content), truncated)
 
     def _add_truncated(self, begin: int) -> None:
@@ -315,8 +315,8 @@ def _chunk_data(fields: _Fields, last: bool) -> tuple[bytes | memoryview, bool, 
     method = fields.text()
     (length,) = fields.numbers("<Q")
     if last and length > len(fields.rest):
-        return unpacked_part(fields.rest, method, size), False, True
-    data = unpacked(fields.block(length), method, size)
+        return decompress_truncated(fields.rest, method, size), False, True
+    data = decompress(fields.block(length), method, size)
     if recorded and crc32(data) != recorded:
         raise ValueError("the checksum of a chunk is wrong")
     return data, recorded != 0, False

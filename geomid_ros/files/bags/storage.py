@@ -42,8 +42,8 @@ class Storage(ABC):
     """An open file of a recording, which was examined completely.
 
     ``counts``: number of messages by topic and type; ``start``: recording time of the first one [ns]. ``truncation``
-    states where the file ends too early and how much of it is intact; empty if it is complete. ``checked`` is True if
-    it has checksums, which reveal damaged numbers.
+    states where the file ends too early and how much of it is intact; empty if it is complete. ``has_checksums`` is
+    True if it has checksums, which reveal damaged numbers.
 
     Raises InputError naming the file, the place of damage if known, and how much can be read.
     """
@@ -55,7 +55,7 @@ class Storage(ABC):
         self._path, self._size = path, path.stat().st_size
         self.counts: dict[tuple[str, str], int] = {}
         self.start: int | None = None
-        self.truncation, self.checked = "", True
+        self.truncation, self.has_checksums = "", True
         try:
             self._examine()
         except TruncatedFileError as fault:
@@ -114,7 +114,7 @@ def _library(method: str) -> Any:
     return zstd
 
 
-def unpacked(data: bytes | memoryview, method: str, size: int) -> bytes | memoryview:
+def decompress(data: bytes | memoryview, method: str, size: int) -> bytes | memoryview:
     """Unpack data compressed with ``method`` (zstd, lz4 or empty for none) to exactly ``size`` bytes.
 
     Raises ValueError if they cannot be unpacked, or are too large.
@@ -128,7 +128,7 @@ def unpacked(data: bytes | memoryview, method: str, size: int) -> bytes | memory
     return result
 
 
-def unpacked_part(data: bytes | memoryview, method: str, size: int) -> bytes | memoryview:
+def decompress_truncated(data: bytes | memoryview, method: str, size: int) -> bytes | memoryview:
     """Unpack the beginning of compressed ``data`` whose end is missing. Raises ValueError."""
     most = min(size, MOST_BYTES)
     if not method:
@@ -136,7 +136,7 @@ def unpacked_part(data: bytes | memoryview, method: str, size: int) -> bytes | m
     return _decompressed(_unpacker(method), data, method, most)
 
 
-def unpacked_message(data: bytes, method: str) -> bytes:
+def decompress_message(data: bytes, method: str) -> bytes:
     """Unpack a message that was compressed by itself. Raises ValueError if it cannot be unpacked, or is too large."""
     result = _unpacked(data, method, MOST_BYTES + 1)
     if len(result) > MOST_BYTES:
@@ -167,7 +167,7 @@ def _unpacker(method: str) -> Any:
     return library.ZstdDecompressor() if method == "zstd" else library.LZ4FrameDecompressor()
 
 
-def unpack_file(path: Path, target: Path, method: str) -> None:
+def decompress_file(path: Path, target: Path, method: str) -> None:
     """Unpack a file, up to where it is truncated, unless this would fill the disk.
 
     Raises ValueError if it cannot be unpacked, or is too large.

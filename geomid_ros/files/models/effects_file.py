@@ -45,7 +45,7 @@ from geomid_ros.model.effects import (
     values_of,
 )
 from geomid_ros.model.effects.parameters import COM_ENTRIES
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
 QUANTITY_NAMES = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
@@ -69,7 +69,7 @@ def payload_name(carrier: str) -> str:
     return f"{carrier}_payload"
 
 
-def is_body(effect: KnownEffect) -> bool:
+def is_payload(effect: KnownEffect) -> bool:
     """True if it is a payload of a link."""
     return effect_class(effect.effect).place == "link"
 
@@ -132,7 +132,7 @@ def unrepresentable(effects: Iterable[KnownEffect], files: Iterable[str]) -> lis
         forms = [form for form in cls.parameters if form.name in effect.parameters]
         # No format has a constant of default value, and no simulator needs it.
         missing = [form.name for form in forms if not form.said_by(files) and form.name != cls.default_constant]
-        if missing and not cls.of_sensor:
+        if missing and not cls.is_sensor_error:
             name = cls.label if cls.label[0].isupper() else effect.effect.replace("_", " ")
             phrase = name + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
             places_of.setdefault(phrase, []).append(effect.link or effect.joint)
@@ -174,7 +174,7 @@ def updated_effects(estimated: Sequence[KnownEffect], known: Sequence[KnownEffec
     """
     remaining = {(effect.effect, effect.joint): effect for effect in estimated}
     order = list(EFFECTS)
-    others = [effect for effect in known if not is_body(effect) and not is_coefficient(effect)]
+    others = [effect for effect in known if not is_payload(effect) and not is_coefficient(effect)]
     refined = [_refined(effect, remaining) for effect in sorted(others, key=lambda effect: order.index(effect.effect))]
     of_place = [effect for effect in remaining.values() if not is_coefficient(effect)]
     return [*(effect for effect in remaining.values() if is_coefficient(effect)), *combined([*refined, *of_place])]
@@ -190,7 +190,7 @@ def _refined(effect: KnownEffect, remaining: dict[tuple[str, str], KnownEffect])
     return KnownEffect(effect.effect, effect.joint, effect.link, parameters)
 
 
-def coefficient(name: str, joint: str, quantity: Quantity, constant: Quantity | None = None) -> KnownEffect:
+def coefficient_effect(name: str, joint: str, quantity: Quantity, constant: Quantity | None = None) -> KnownEffect:
     """Make an effect of one parameter, with a constant if it differs from the default."""
     cls = effect_class(name)
     constants = {} if constant is None else {cls.default_constant: constant}

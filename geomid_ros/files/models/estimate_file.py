@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.verdict import NOT_CONVERGED, STATUS, USABLE, Verdict
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.comparison import RobotValues
@@ -25,7 +25,7 @@ from geomid_ros.estimation.estimate import (
 )
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.files.models.effects_file import (
-    coefficient,
+    coefficient_effect,
     coefficient_entry,
     combined,
     is_coefficient,
@@ -36,12 +36,12 @@ from geomid_ros.files.schema import (
     Matrix,
     Vector,
     attributes_entry,
+    from_base64,
     from_document,
-    packed,
     read_document,
+    to_base64,
     to_document,
-    unpacked,
-    unpacked_triangle,
+    triangle_from_base64,
 )
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
@@ -292,8 +292,8 @@ class EstimateFile:
             return None
         size = 10 * len(self.links)
         try:
-            rows = unpacked_triangle(self.information.rows, _PACKED, size)
-            residuals = unpacked(self.information.residuals, _PACKED, size)
+            rows = triangle_from_base64(self.information.rows, _PACKED, size)
+            residuals = from_base64(self.information.residuals, _PACKED, size)
         except ValueError as error:
             raise self._information_error(f"on {len(self.links)} links cannot be read ({error})") from error
         if list(self.information.links) != list(self.inertias):
@@ -353,7 +353,7 @@ def _known_effect(entry: CoefficientEntry, raw: Mapping[str, Any], source: str) 
             raise InputError(f"{where} is {value!r:.80}, expected a number above {form.above:g} {form.units[0]}")
         constant = Quantity(float(value), 0.0, form.units[0])
     quantity = Quantity(entry.value, entry.std or math.nan, cls.parameters[0].units[0])
-    return coefficient(entry.name, entry.joint, quantity, constant)
+    return coefficient_effect(entry.name, entry.joint, quantity, constant)
 
 
 def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> LinkEstimate:
@@ -406,8 +406,8 @@ def estimate_document(
     rows = estimate.information.rows
     information = InformationEntry(
         links=tuple(link.name for link in estimate.links),
-        rows=packed(rows[np.triu_indices(len(rows))], _PACKED),
-        residuals=packed(estimate.information.residuals, _PACKED),
+        rows=to_base64(rows[np.triu_indices(len(rows))], _PACKED),
+        residuals=to_base64(estimate.information.residuals, _PACKED),
     )
     return {
         "format": FORMAT,
@@ -466,12 +466,12 @@ def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float |
     return dict(zip(channels, to_document(values), strict=True))
 
 
-def verdict_entry(verdict: Verdict, findings: Sequence[Finding]) -> dict[str, Any]:
+def verdict_entry(verdict: Verdict, findings: Sequence[RecordingFault]) -> dict[str, Any]:
     """Verdict on the result, its reasons, and the suspected causes in the recording."""
     return {"result": verdict.word, "reasons": [*verdict.reasons], "causes": causes_entry(findings)}
 
 
-def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+def causes_entry(findings: Sequence[RecordingFault]) -> list[dict[str, Any]]:
     """Causes found in a recording, with the parameters that fix them."""
     return [
         to_document(finding.cause) | {"sure": finding.sure, "rivals": to_document(finding.rivals)}

@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 
 from geomid_ros.checks.causes import Cause
-from geomid_ros.checks.causes import Finding as Doubt
+from geomid_ros.checks.causes import RecordingFault as Doubt
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.schema import FORMAT, attributes_entry, from_document, read_document, to_document
@@ -40,7 +40,7 @@ _AS_FOUND = (
 )
 """Fields that are the same in the file and in the result."""
 _KINDS = ("before", "inertias_only", "after", "expected")
-Errors: TypeAlias = Mapping[str, Mapping[str, float]]
+ErrorsByStage: TypeAlias = Mapping[str, Mapping[str, float]]
 Parameters: TypeAlias = Annotated[FloatArray, (10,)]
 
 
@@ -95,10 +95,10 @@ class GapFile:
     links: tuple[LinkChange, ...]
     unexplained: tuple[Unexplained, ...]
     ordinary: tuple[KnownEffect, ...]
-    gap: Errors
+    gap: ErrorsByStage
     floor: Mapping[str, float]
-    resimulated: Errors | None
-    closed_loop: Errors | None
+    resimulated: ErrorsByStage | None
+    closed_loop: ErrorsByStage | None
     units: Mapping[str, str]
     located: tuple[ResidualDependence, ...]
     ranking: tuple[Ranked, ...]
@@ -202,7 +202,7 @@ def is_open(result: GapResult) -> bool:
     return any(finding.rivals and finding.settled_by for finding in result.findings)
 
 
-def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[str, Any]:
+def gap_document(result: GapResult, simulations: Mapping[str, ErrorsByStage]) -> dict[str, Any]:
     """Document of a result. ``simulations`` has the errors {before, after} of ``windows`` and ``closed_loop``."""
     channels, gap = result.channels, result.gap
     return {

@@ -20,14 +20,14 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.effects_file import (
     by_parameter,
     combined,
-    is_body,
+    is_payload,
     payload_name,
     payload_parameters,
     tilted_gravity,
     updated_effects,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile
-from geomid_ros.files.models.written_model import WrittenModel, written_for
+from geomid_ros.files.models.written_model import WrittenModel, fitted_model_of
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.effects import (
     Effect,
@@ -38,7 +38,7 @@ from geomid_ros.model.effects import (
     effect_class,
     values_of,
 )
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.urdf_tree import UrdfTree
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import BoolArray, FloatArray
@@ -47,17 +47,17 @@ from geomid_ros.types import BoolArray, FloatArray
 @dataclass(frozen=True)
 class LoadedModel:
     """A model from the file ``source``: ``inertias (10,)`` of bodies by name, without payloads, and ``effects``.
-    ``known`` is the joint information on these bodies, in their order. ``merged`` has the fixed links merged into them,
-    if stated. ``doubt`` is a sentence if its verdict makes the model doubtful. ``fitted`` has the models fitted for
-    descriptions, by reader; ``posterior`` is set for a model identified in this process."""
+    ``links_information`` is the joint information on these bodies, in their order. ``merged`` has the fixed links
+    merged into them, if stated. ``warning`` is a sentence if its verdict makes the model doubtful. ``fitted_models``
+    has the models fitted for descriptions, by reader; ``posterior`` is set for a model identified in this process."""
 
     source: str = ""
     inertias: Mapping[str, FloatArray] | None = None
     effects: tuple[KnownEffect, ...] = ()
-    known: LinksInformation | None = None
+    links_information: LinksInformation | None = None
     merged: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    doubt: str = ""
-    fitted: Mapping[str, WrittenModel] = field(default_factory=dict)
+    warning: str = ""
+    fitted_models: Mapping[str, WrittenModel] = field(default_factory=dict)
     posterior: Posterior | None = None
 
     @staticmethod
@@ -69,16 +69,16 @@ class LoadedModel:
     def of(file: EstimateFile) -> LoadedModel:
         """Convert the content of such a file. Raises InputError naming its fault."""
         information = file.known_information
-        models = {reader: written_for(file, reader) for reader in file.handover}
+        models = {reader: fitted_model_of(file, reader) for reader in file.handover}
         fitted = {reader: written.with_payloads_in_links for reader, written in models.items() if written}
         return LoadedModel(
             source=file.source,
             inertias=file.inertias,
             effects=tuple(file.known_effects),
-            known=information,
+            links_information=information,
             merged=file.merged,
-            doubt=file.warning,
-            fitted=fitted,
+            warning=file.warning,
+            fitted_models=fitted,
         )
 
     def refitted(
@@ -92,7 +92,7 @@ class LoadedModel:
             coefficients: coefficients of its effects; NaN or an invalid sign drops the effect.
             beside: the remaining ones of :attr:`situational_effects`.
         """
-        stds = self.deviations(model)[len(model.nominal_inertias) :].tolist()
+        stds = self.coefficient_stds(model)[len(model.nominal_inertias) :].tolist()
         entries = [
             KnownEffect(c.effect.name, c.place_name, "", c.parameters(float(value), std))
             for c, value, std in zip(model.coefficients, coefficients, stds, strict=True)
@@ -108,7 +108,7 @@ class LoadedModel:
     @property
     def situational_effects(self) -> list[KnownEffect]:
         """Effects in samples that no measurement model has as coefficients, as they depend on its state."""
-        return [effect for effect in self.in_samples if _is_situational(effect)]
+        return [effect for effect in self.effects_in_samples if _is_situational(effect)]
 
     @property
     def not_predicted(self) -> str:
@@ -117,27 +117,30 @@ class LoadedModel:
         return f"{self.source}: {', '.join(names)}: not predicted, only simulated with the MJCF" if names else ""
 
     @property
-    def beside_inertias(self) -> list[KnownEffect]:
+    def effects_without_payloads(self) -> list[KnownEffect]:
         """Effects without payloads, which are in the inertias of :meth:`parameters`."""
-        return [effect for effect in self.effects if not is_body(effect)]
+        return [effect for effect in self.effects if not is_payload(effect)]
 
     @property
-    def in_samples(self) -> list[KnownEffect]:
-        """Effects without payloads that remain in samples corrected by :meth:`signals` and :meth:`sensors`."""
-        return [effect for effect in self.beside_inertias if not effect_class(effect.effect).corrected_in_samples]
+    def effects_in_samples(self) -> list[KnownEffect]:
+        """Effects without payloads that remain in samples corrected by :meth:`corrected_signals` and
+        :meth:`corrected_sensors`."""
+        return [
+            effect for effect in self.effects_without_payloads if not effect_class(effect.effect).corrected_in_samples
+        ]
 
-    def gravity(self, gravity: FloatArray) -> FloatArray:
+    def tilted_gravity(self, gravity: FloatArray) -> FloatArray:
         """Gravity ``(3,)`` in the base frame, from that of an upright base."""
         return tilted_gravity(gravity, self.effects)
 
-    def locked(self, tree: UrdfTree) -> list[str]:
+    def locked_joints(self, tree: UrdfTree) -> list[str]:
         """Names of a description's joints that were locked when the model was identified: the links at both ends were
         one body. Joints that mimic another one are locked with it."""
         bodies = [{name, *merged} for name, merged in self.merged.items()]
         moving = [joint for joint in tree.joints if joint.type != "fixed" and joint.mimic is None]
         return [joint.name for joint in moving if any({joint.parent, joint.child} <= links for links in bodies)]
 
-    def sensors(self, sensors: Sequence[WrenchSensor]) -> list[WrenchSensor]:
+    def corrected_sensors(self, sensors: Sequence[WrenchSensor]) -> list[WrenchSensor]:
         """Apply the known offsets to the sensors."""
         shifts: dict[str, FloatArray] = {}
         for effect in self.effects:
@@ -150,7 +153,7 @@ class LoadedModel:
             for sensor in sensors
         ]
 
-    def signals(self, settings: SignalSettings, joints: Sequence[str]) -> SignalSettings:
+    def corrected_signals(self, settings: SignalSettings, joints: Sequence[str]) -> SignalSettings:
         """Apply the known gains and delays of the effort sensors to the settings."""
         given = settings.effort_gain
         by_joint = given if isinstance(given, dict) else dict.fromkeys(joints, given)
@@ -169,10 +172,10 @@ class LoadedModel:
         """Coefficients of effects that a measurement model can have, without gain error, by effect, place and
         parameter."""
         coefficients: dict[tuple[IdentifiedEffect, str, str], float] = {}
-        for effect in self.in_samples:
+        for effect in self.effects_in_samples:
             for part, values in effect_class(effect.effect).coefficients(values_of(effect)).items():
                 if isinstance(part, IdentifiedEffect):
-                    for form, value in zip(part.own, values, strict=True):
+                    for form, value in zip(part.column_parameters, values, strict=True):
                         key = part, effect.joint, form.name
                         coefficients[key] = coefficients.get(key, 0.0) + value
         return coefficients
@@ -201,7 +204,7 @@ class LoadedModel:
         ]
         stored = self._coefficients
         coefficients = np.array([stored.get((c.effect, c.place_name, c.parameter), np.nan) for c in model.coefficients])
-        positive = np.array([c.effect.own[c.index].above == 0.0 for c in model.coefficients], dtype=bool)
+        positive = np.array([c.effect.column_parameters[c.index].above == 0.0 for c in model.coefficients], dtype=bool)
         if np.any(coefficients[positive] <= 0.0) or np.any(np.isinf(coefficients)):
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
         return np.concatenate([*inertias, coefficients])
@@ -229,10 +232,10 @@ class LoadedModel:
 
     def _is_payload(self, link: str, carrier: str) -> bool:
         """True if a link is the payload of another one in a description that was written from this model."""
-        has_payload = any(is_body(effect) and effect.link == carrier for effect in self.effects)
+        has_payload = any(is_payload(effect) and effect.link == carrier for effect in self.effects)
         return has_payload and link.rstrip("_") == payload_name(carrier)
 
-    def deviations(self, model: MeasurementModel) -> FloatArray:
+    def coefficient_stds(self, model: MeasurementModel) -> FloatArray:
         """Standard deviations ``(D,)`` of the effects' coefficients within their motion, NaN if unknown."""
         sizes = by_parameter(self.effects)
         places = [(c.effect, (c.effect.name, c.place_name, c.parameter)) for c in model.coefficients]
@@ -245,19 +248,19 @@ class LoadedModel:
 
         Links that are not identified here are fixed at their estimates.
         """
-        if self.known is None or self.inertias is None or not {*model.body_names} <= self.inertias.keys():
+        if self.links_information is None or self.inertias is None or not {*model.body_names} <= self.inertias.keys():
             return None
         places = [10 * list(self.inertias).index(name) for name in model.body_names]
-        rows = np.concatenate([self.known.rows[:, place : place + 10] for place in places], axis=1)
-        return LinksInformation(rows, self.known.residuals)
+        rows = np.concatenate([self.links_information.rows[:, place : place + 10] for place in places], axis=1)
+        return LinksInformation(rows, self.links_information.residuals)
 
     def _payload(self, body: str, model: MeasurementModel) -> FloatArray:
         """Parameters ``(10,)`` of a body's payload."""
         total = np.zeros(10)
         for effect in self.effects:
-            if is_body(effect) and effect.link not in model.body_names:
+            if is_payload(effect) and effect.link not in model.body_names:
                 raise InputError(f"{self.source}: {unknown_name('link with a payload', effect.link, model.body_names)}")
-            if is_body(effect) and effect.link == body:
+            if is_payload(effect) and effect.link == body:
                 total += payload_parameters(values_of(effect))
         return total
 

@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_parameters, tilted_gravity
+from geomid_ros.files.models.effects_file import is_payload, joint_attributes, payload_parameters, tilted_gravity
 from geomid_ros.files.models.urdf import JointFrame, joint_frames
 from geomid_ros.files.models.xml_edits import Edit, descendants_of, edited, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
@@ -76,7 +76,7 @@ def mjcf_shapes(urdf: str, source: str, find: Callable[[str, str], Path]) -> Sha
 
 def _placement(element: Element, where: str) -> dict[str, str]:
     position, axes = origin_of(element, where)
-    return {"pos": words(position), "quat": words(np.roll(quaternion(axes), 1))}
+    return {"pos": number_text(position), "quat": number_text(np.roll(quaternion(axes), 1))}
 
 
 def _shape(element: Element, where: str) -> dict[str, str]:
@@ -95,7 +95,7 @@ def _shape(element: Element, where: str) -> dict[str, str]:
         return {"type": "mesh"}
     else:
         raise InputError(f"{where}: MuJoCo has no shape <{tag}>")
-    return {"type": tag, "size": words(sizes)}
+    return {"type": tag, "size": number_text(sizes)}
 
 
 def _asset(
@@ -112,7 +112,7 @@ def _asset(
     return meshes[key]
 
 
-def words(numbers: FloatArray | Sequence[float] | float) -> str:
+def number_text(numbers: FloatArray | Sequence[float] | float) -> str:
     """Numbers as text, to the last bit."""
     return " ".join(repr(float(number)) for number in np.ravel(numbers))
 
@@ -163,24 +163,24 @@ class _Writer:
         self._bodies = {body.name: inertias.get(body.name, body.parameters) for body in robot.bodies}
         self._joints = joint_frames(robot.urdf, robot.source)
         self._driven = set(robot.joint_names)
-        self._moving = self._driven.union(follower.joint.name for follower in robot.followers)
+        self._moving = self._driven.union(follower.joint.name for follower in robot.mimic_joints)
         effects = list(effects)
         self._joint_attributes = joint_attributes(effects, "joint")
         # One entry per effect: two effects of a pair may have different ratios.
         tendons = (joint_attributes([effect], "tendon") for effect in effects)
         self._tendon_attributes = [(name, numbers) for pairs in tendons for name, numbers in pairs.items()]
         self._effects = {(effect.effect, effect.joint): values_of(effect) for effect in effects}
-        self._payloads = {effect.link: values_of(effect) for effect in effects if is_body(effect)}
+        self._payloads = {effect.link: values_of(effect) for effect in effects if is_payload(effect)}
         self._gravity = tilted_gravity(gravity, effects)
 
     def document(self, sensors: Sequence[WrenchSensor], shapes: Shapes) -> Element:
         root = Element("mujoco", model=self._robot.name)
         SubElement(root, "compiler", angle="radian", inertiafromgeom="false", balanceinertia="false")
         step = self._step()
-        gravity = words(self._gravity)
-        SubElement(root, "option", timestep=words(step), integrator="implicitfast", gravity=gravity)
+        gravity = number_text(self._gravity)
+        SubElement(root, "option", timestep=number_text(step), integrator="implicitfast", gravity=gravity)
         default = SubElement(SubElement(root, "default"), "joint")
-        constraint = words([_CONSTRAINT_STEPS * step, 1.0])
+        constraint = number_text([_CONSTRAINT_STEPS * step, 1.0])
         default.attrib |= {"solreffriction": constraint, "solreflimit": constraint}
         base = self._add_link(SubElement(root, "worldbody"), self._robot.tree.root, None)
         if self._robot.floating_base:
@@ -201,7 +201,10 @@ class _Writer:
     def _add_link(self, parent: Element, link: str, joint: JointFrame | None) -> Element:
         body = SubElement(parent, "body", name=_body_name(link))
         if joint is not None:
-            body.attrib |= {"pos": words(joint.position), "quat": words(np.roll(quaternion(joint.rotation), 1))}
+            body.attrib |= {
+                "pos": number_text(joint.position),
+                "quat": number_text(np.roll(quaternion(joint.rotation), 1)),
+            }
         moves = joint is not None and joint.name in self._moving
         if link in self._bodies:
             _add_inertial(body, self._bodies[link])
@@ -221,20 +224,20 @@ class _Writer:
 
     def _add_joints(self, body: Element, joint: JointFrame) -> None:
         """Add the joint itself, and its second hinges."""
-        kind = {"type": "slide" if joint.slides else "hinge", "axis": words(joint.axis)}
+        kind = {"type": "slide" if joint.slides else "hinge", "axis": number_text(joint.axis)}
         element = SubElement(body, "joint", {"name": joint.name, **kind, **self._dynamics(joint)})
         if joint.lower < joint.upper and math.isfinite(joint.lower + joint.upper):
-            element.attrib |= {"limited": "true", "range": words([joint.lower, joint.upper])}
+            element.attrib |= {"limited": "true", "range": number_text([joint.lower, joint.upper])}
         hinges = self._hinges(joint)
         for hinge in hinges:
             attributes = _attributes(hinge)
             if hinge is not hinges[-1]:
-                attributes["armature"] = words(_SMALL_ROTOR * self._distal_inertia(joint))
+                attributes["armature"] = number_text(_SMALL_ROTOR * self._distal_inertia(joint))
             SubElement(body, "joint", {"name": f"{joint.name}/{hinge.name}", **kind, **attributes})
 
     def _dynamics(self, joint: JointFrame) -> dict[str, str]:
         numbers = self._attributes_at(joint) | {"armature": self._rotor(joint)}
-        return {name: words(number) for name, number in sorted(numbers.items()) if number != 0.0}
+        return {name: number_text(number) for name, number in sorted(numbers.items()) if number != 0.0}
 
     def _attributes_at(self, joint: JointFrame) -> dict[str, float]:
         """Attributes of a joint according to the effects, added up."""
@@ -284,12 +287,12 @@ class _Writer:
     def _add_motor(self, actuators: Element, joint: JointFrame) -> None:
         motor = SubElement(actuators, "motor", name=joint.name, joint=joint.name)
         if math.isfinite(joint.effort):
-            motor.attrib |= {"ctrllimited": "true", "ctrlrange": words([-joint.effort, joint.effort])}
+            motor.attrib |= {"ctrllimited": "true", "ctrlrange": number_text([-joint.effort, joint.effort])}
 
     def _followers(self) -> Iterator[Element]:
         """Yield equality constraints of joints that mimic others."""
-        for follower in self._robot.followers:
-            polynomial = words([follower.offset, follower.factor, 0.0, 0.0, 0.0])
+        for follower in self._robot.mimic_joints:
+            polynomial = number_text([follower.offset, follower.factor, 0.0, 0.0, 0.0])
             master = self._robot.joint_names[follower.master]
             yield Element("joint", joint1=follower.joint.name, joint2=master, polycoef=polynomial)
 
@@ -298,9 +301,9 @@ class _Writer:
         for name, numbers in self._tendon_attributes:
             place, coefficient = place_named("joints", name, self._robot.joint_names), numbers.pop("coef")
             joints = [self._robot.joint_names[joint] for joint in (joints_of(place) if place else ())]
-            tendon = Element("fixed", {key: words(number) for key, number in sorted(numbers.items())})
+            tendon = Element("fixed", {key: number_text(number) for key, number in sorted(numbers.items())})
             for joint, weight in zip(joints, (1.0, coefficient), strict=False):
-                SubElement(tendon, "joint", joint=joint, coef=words(weight))
+                SubElement(tendon, "joint", joint=joint, coef=number_text(weight))
             yield tendon
 
     def _add_sensors(self, root: Element, sensors: Sequence[WrenchSensor]) -> None:
@@ -328,10 +331,10 @@ def _attributes(hinge: Hinge) -> dict[str, str]:
     """Attributes of an additional hinge."""
     attributes = {}
     if hinge.stiffness > 0.0:
-        attributes["stiffness"] = words(hinge.stiffness)
+        attributes["stiffness"] = number_text(hinge.stiffness)
     if hinge.half_range > 0.0:
-        attributes |= {"limited": "true", "range": words([-hinge.half_range, hinge.half_range])}
-    return {**attributes, "damping": words(hinge.damping)}
+        attributes |= {"limited": "true", "range": number_text([-hinge.half_range, hinge.half_range])}
+    return {**attributes, "damping": number_text(hinge.damping)}
 
 
 def _add_inertial(body: Element, parameters: FloatArray) -> None:
@@ -342,9 +345,9 @@ def inertial_attributes(parameters: FloatArray) -> dict[str, str]:
     """Attributes of the <inertial> of a body with ``parameters (10,)``."""
     inertia = pseudo_inertia.central_inertia(parameters)
     return {
-        "pos": words(pseudo_inertia.centre_of_mass(parameters)),
-        "mass": words(parameters[0]),
-        "fullinertia": words(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+        "pos": number_text(pseudo_inertia.centre_of_mass(parameters)),
+        "mass": number_text(parameters[0]),
+        "fullinertia": number_text(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
     }
 
 

@@ -23,7 +23,7 @@ from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.estimate_file import LinkEntry, inertias_of, link_entry
-from geomid_ros.files.schema import FORMAT, from_document, packed, read_document, to_document, unpacked_triangle
+from geomid_ros.files.schema import FORMAT, from_document, read_document, to_base64, to_document, triangle_from_base64
 from geomid_ros.types import FloatArray, frozen
 
 _NUMBER = "<f8"
@@ -50,7 +50,7 @@ def population_document(population: Population) -> dict[str, Any]:
             to_document(effect) | {"value": value} | ({} if effect.positive else {"scale": next(scales)})
             for effect, value in zip(population.effects, values, strict=True)
         ],
-        "covariance": packed(triangle, _NUMBER),
+        "covariance": to_base64(triangle, _NUMBER),
     }
 
 
@@ -74,7 +74,7 @@ def read_population(path: Path) -> Population:
     content = from_document(_PopulationDocument, document, f"{path}:")
     inertias, effects = inertias_of(content.links, str(path)), content.effects
     try:
-        triangle = unpacked_triangle(content.covariance, _NUMBER, 10 * len(inertias) + len(effects))
+        triangle = triangle_from_base64(content.covariance, _NUMBER, 10 * len(inertias) + len(effects))
     except ValueError as error:
         raise InputError(
             f"{path}: covariance is not of its links and effects ({error!r:.200}); run geomid fleet again"

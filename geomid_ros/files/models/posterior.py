@@ -28,12 +28,12 @@ from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.files.disk import read_bytes, write_bytes
 from geomid_ros.files.schema import from_document, from_upper_triangle, to_document
 from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis, KnownRemainder
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import AnyArray, FloatArray, IntArray, frozen
 
 POSTERIOR = "posterior.npz"
 FORMAT = 2
-SAME = 1e-6
+RELATIVE_TOLERANCE = 1e-6
 """Relative tolerance between the same number in two files, of which one has fewer digits."""
 _HEADER = "posterior"
 _VECTORS = {"parameters": "parameters", "prior": "prior", "prior_spreads": "prior_stds"}  # by their names in the file
@@ -94,7 +94,7 @@ def check_matches_estimate(posterior: Posterior, file: Path, inertias: Mapping[s
         raise InputError(f"{file}: of the links {', '.join(posterior.links)}, and {source} of {', '.join(inertias)}")
     links = posterior.parameters[posterior.manifold.inertial].reshape(-1, 10)
     for link, inertia in zip(links, inertias.values(), strict=True):
-        if not np.allclose(link, inertia, rtol=SAME, atol=SAME * np.max(np.abs(inertia))):
+        if not np.allclose(link, inertia, rtol=RELATIVE_TOLERANCE, atol=RELATIVE_TOLERANCE * np.max(np.abs(inertia))):
             raise InputError(f"{file}: not of the estimate beside it, {source}; keep together what one run wrote")
 
 

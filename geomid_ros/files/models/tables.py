@@ -14,14 +14,14 @@ from geomid_ros.files.models.estimate_file import InertiaEntry
 from geomid_ros.files.schema import from_document
 from geomid_ros.model.effects import effect_class
 
-Rows: TypeAlias = list[dict[str, Any]]
+TableRows: TypeAlias = list[dict[str, Any]]
 """A table: a list of rows, each with its cells by column."""
 
 _BETWEEN = ";"
 _FINDING = ("probability", "confidence", "share", "separability", "loss", "sentence")
 
 
-def write_tables(folder: Path, found: Mapping[str, Rows]) -> list[Path]:
+def write_tables(folder: Path, found: Mapping[str, TableRows]) -> list[Path]:
     """Write tables into a folder, one file with its name each.
 
     Returns:
@@ -37,7 +37,7 @@ def write_tables(folder: Path, found: Mapping[str, Rows]) -> list[Path]:
     return files
 
 
-def tables(document: Mapping[str, Any]) -> dict[str, Rows]:
+def tables(document: Mapping[str, Any]) -> dict[str, TableRows]:
     """Make the tables of a document, by name: links, effects and channels of an ``estimate.json``, findings of a
     ``gap.json``. Raises AttributeError, KeyError, TypeError or ValueError if the document is incomplete."""
     if "findings" in document:
@@ -49,7 +49,7 @@ def tables(document: Mapping[str, Any]) -> dict[str, Rows]:
     }
 
 
-def csv_text(rows: Rows) -> str:
+def csv_text(rows: TableRows) -> str:
     """Rows as CSV with a header line; unknown values are empty."""
     text = io.StringIO()
     columns = list(dict.fromkeys(column for row in rows for column in row))

@@ -20,7 +20,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_name, payload_parameters
+from geomid_ros.files.models.effects_file import is_payload, joint_attributes, payload_name, payload_parameters
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
@@ -124,7 +124,7 @@ def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
     joints, links = children_of(data, "robot", "joint", "dynamics"), children_of(data, "robot", "link", "inertial")
     edits = [_dynamics(data, joints[name], numbers) for name, numbers in joint_attributes(effects, "dynamics").items()]
     end = data.rindex(b"</robot")
-    payloads = [_payload(effect, links, joints) for effect in effects if is_body(effect)]
+    payloads = [_payload(effect, links, joints) for effect in effects if is_payload(effect)]
     edits.append((end, end, b"".join(payloads)))
     return edited(data, edits).decode()
 

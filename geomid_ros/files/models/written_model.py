@@ -16,14 +16,14 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effects_file import (
     combined,
     effects_entries,
-    is_body,
+    is_payload,
     payload_parameters,
     updated_effects,
     write_sidecar,
@@ -35,7 +35,7 @@ from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, to_document
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class, values_of
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
 ESTIMATE, IDENTIFIED, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"
@@ -61,7 +61,7 @@ def write_model(
     inertias: Mapping[str, FloatArray],
     effects: Iterable[KnownEffect],
     gravity: FloatArray,
-    findings: Sequence[Finding] = (),
+    findings: Sequence[RecordingFault] = (),
     noise: Mapping[str, Any] = MappingProxyType({}),
     folded: Mapping[tuple[str, str], float] = MappingProxyType({}),
     fitted: Mapping[str, WrittenModel] = MappingProxyType({}),
@@ -85,7 +85,7 @@ def write_model(
         "format": FORMAT,
         "links": [link_entry(name, merged[name], m) for name, m in inertias.items()],
         **effects_entries(effects),
-        "handover": {name: handover_entry(m.said_by(ELEMENTS[name]), merged) for name, m in alone.items()},
+        "handover": {name: handover_entry(m.representable_in(ELEMENTS[name]), merged) for name, m in alone.items()},
         "robot": model.robot.name,
         "gravity": gravity.tolist(),
         "verdict": verdict_entry(recording_verdict(findings), findings),
@@ -146,11 +146,11 @@ class WrittenModel:
         """The model, without ``folded``, with payloads added to the inertias of their links."""
         inertias = dict(self.inertias)
         for effect in self.effects:
-            if is_body(effect):
+            if is_payload(effect):
                 inertias[effect.link] = inertias[effect.link] + payload_parameters(values_of(effect))
-        return WrittenModel(inertias, tuple(effect for effect in self.effects if not is_body(effect)))
+        return WrittenModel(inertias, tuple(effect for effect in self.effects if not is_payload(effect)))
 
-    def said_by(self, elements: Collection[str]) -> WrittenModel:
+    def representable_in(self, elements: Collection[str]) -> WrittenModel:
         """Return the model without effects that are zero, or that a file with these ``elements`` cannot represent."""
         return replace(self, effects=tuple(effect for effect in self.effects if _is_representable(effect, elements)))
 
@@ -159,7 +159,7 @@ def _is_representable(effect: KnownEffect, elements: Collection[str]) -> bool:
     cls = effect_class(effect.effect)
     forms = [form for form in cls.parameters if form.name in effect.parameters]
     nonzero = all(form.above < effect.parameters[form.name].value for form in forms)
-    return nonzero and (cls.of_sensor or any(form.said_by(elements) for form in forms))
+    return nonzero and (cls.is_sensor_error or any(form.said_by(elements) for form in forms))
 
 
 def written_model(
@@ -207,7 +207,7 @@ def handover_entry(model: WrittenModel, merged: Mapping[str, Sequence[str]]) -> 
     return {"links": links, "effects": to_document(model.effects)}
 
 
-def written_for(file: EstimateFile, reader: str) -> WrittenModel | None:
+def fitted_model_of(file: EstimateFile, reader: str) -> WrittenModel | None:
     """Model that was fitted for a ``reader``; None if the file has none. Raises InputError if it is invalid."""
     names = (name for name, elements in ELEMENTS.items() if elements == ELEMENTS.get(reader))
     handover = next((file.handover[name] for name in names if name in file.handover), None)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.records import Records
 from geomid_ros.model.effects import Situation
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray, IntArray
 
 _SLOW_WAVES, _FAST_WAVES = range(2, 11), range(11, 33)  # per radian (or metre): cogging, ripple of gears
@@ -45,16 +45,16 @@ class Basis:
 @dataclass(frozen=True, eq=False)
 class Features:
     """Columns ``(N, m)`` of a channel, in their ``block (m,)``, and the variable that each block ``depends_on``; from
-    other recordings, the ``mean (m,)`` of their coefficients and its covariance, ``unsure (m, m)``."""
+    other recordings, the ``mean (m,)`` of their coefficients and its covariance, ``covariance (m, m)``."""
 
     columns: FloatArray
     block: IntArray
     depends_on: tuple[str, ...]
     mean: FloatArray | None = None
-    unsure: FloatArray | None = None
+    covariance: FloatArray | None = None
 
     @property
-    def known(self) -> FloatArray:
+    def expected_remainder(self) -> FloatArray:
         """Remainder expected from other recordings ``(N,)``."""
         return np.zeros(len(self.columns)) if self.mean is None else self.columns @ self.mean
 
@@ -76,7 +76,7 @@ class KnownRemainder:
     means: tuple[FloatArray, ...]
     triangles: tuple[FloatArray, ...]
 
-    def beside(self, features: Sequence[Features]) -> list[Features]:
+    def with_prior(self, features: Sequence[Features]) -> list[Features]:
         """Return the features with these coefficients, unless they depend on time or their channel is uninformative."""
         result = []
         for channel, mean, triangle in zip(features, self.means, self.triangles, strict=True):
@@ -85,7 +85,7 @@ class KnownRemainder:
                 continue
             lasting = np.array([name != TIME for name in channel.depends_on])[channel.block]
             unsure = triangle * lasting
-            result.append(replace(channel, mean=lasting * mean, unsure=unsure.T @ unsure))
+            result.append(replace(channel, mean=lasting * mean, covariance=unsure.T @ unsure))
         return result
 
 

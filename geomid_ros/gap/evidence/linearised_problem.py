@@ -11,10 +11,10 @@ import numpy as np
 from geomid_ros.gap.candidates import Candidate, EffectsFit, EffectTerm
 from geomid_ros.gap.evidence.features import Basis, Features, KnownRemainder, features
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
-from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records, TotalModel
+from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records, TotalModel
 from geomid_ros.inference.design import ChannelRows, Design, RemainderFit
 from geomid_ros.model.effects import Effect, MotionEffect, Place, SensorEffect, Situation, SituationEffect, joints_of
-from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.types import BoolArray, FloatArray
 
 Columns = Mapping[EffectTerm, Mapping[int, FloatArray]]
@@ -53,7 +53,7 @@ class LinearisedProblem:
         self.total = total
         self.known_remainder = known_remainder
         self.floor = np.full(len(model.channels), np.inf) if floor is None else floor
-        self.records = records.advanced(total.lag)
+        self.records = records.with_shifted_efforts(total.lag)
         gravity = total.gravity
         self.model = model.with_gravity(gravity) if np.any(gravity != model.robot.gravity) else model
         self._scales = total.scales(len(model.channels))
@@ -86,7 +86,7 @@ class LinearisedProblem:
         """Rows of the inertias, with changed targets."""
         rows = self.records.rows(self.model)
         targets = rows.targets.copy()
-        for effect, place, coefficients in self.total.absorbed:
+        for effect, place, coefficients in self.total.compensated_effects:
             column = effect.columns(self.situation, place) @ coefficients
             targets += column if effect.scales_measurement else column * self._scales
         is_scaled = np.any(self._scales != 1.0)
@@ -104,7 +104,7 @@ class LinearisedProblem:
         by_acceleration = np.abs(self.situation.by_acceleration)
         diagonal = np.einsum("njj->nj", by_acceleration[:, :joints])
         ratios = by_acceleration / np.maximum(diagonal, 1e-12)[:, None]
-        uncertain = np.max(ratios * (self._dry_friction * self.records.unsettled)[:, None], axis=2)
+        uncertain = np.max(ratios * (self._dry_friction * self.records.friction_ambiguity)[:, None], axis=2)
         return np.asarray(valid & (uncertain < _FRICTION_ERROR * self.floor))
 
     @cached_property
@@ -134,14 +134,14 @@ class LinearisedProblem:
         channels, standing = range(len(self.model.channels)), self.known_remainder
         basis = self.basis if standing is None else standing.basis
         by_channel = [features(self.model, self.records, self.situation, channel, basis) for channel in channels]
-        return by_channel if standing is None else standing.beside(by_channel)
+        return by_channel if standing is None else standing.with_prior(by_channel)
 
     @property
-    def expected(self) -> FloatArray:
+    def expected_remainder(self) -> FloatArray:
         """Known remainder of the model ``(N, C)``."""
         if self.known_remainder is None:
             return np.zeros(self.rows.targets.shape)
-        return np.stack([channel.known for channel in self.features], axis=1)
+        return np.stack([channel.expected_remainder for channel in self.features], axis=1)
 
     @cached_property
     def basis(self) -> Basis:
@@ -187,7 +187,7 @@ class LinearisedProblem:
         white = (Autoregression.white(),) * channels
         return design_of(self.rows, self.valid, columns, (nothing,) * channels, white, self.records)
 
-    def usual_sizes(self, terms: Sequence[EffectTerm]) -> FloatArray:
+    def typical_sizes(self, terms: Sequence[EffectTerm]) -> FloatArray:
         """Coefficients ``(terms,)`` at which a column first reaches the measurement in any channel; 0 without columns,
         infinite for zero columns."""
         measured, columns = root_mean_square(self.rows.targets), self.columns((), terms)
@@ -242,7 +242,9 @@ def term_columns(
 def mean_of(features: Sequence[Features], lacks: Sequence[RemainderFit]) -> FloatArray:
     """Mean of a model's remainder ``(N, C)``."""
     pairs = zip(features, lacks, strict=True)
-    return np.stack([channel.known + channel.columns @ lack.coefficients for channel, lack in pairs], axis=1)
+    return np.stack(
+        [channel.expected_remainder + channel.columns @ lack.coefficients for channel, lack in pairs], axis=1
+    )
 
 
 def design_of(
@@ -260,11 +262,13 @@ def design_of(
         effects = [columns[term][channel] for term in terms]
         nonzero, remainder = np.any(rows.coefficients[:, channel], axis=0), features[channel]
         inertial = rows.coefficients[:, channel, nonzero]
-        stacked = np.column_stack([inertial, *effects, rows.targets[:, channel] - remainder.known, remainder.columns])
+        stacked = np.column_stack(
+            [inertial, *effects, rows.targets[:, channel] - remainder.expected_remainder, remainder.columns]
+        )
         white = noise[channel].whiten(stacked, runs_of(valid[:, channel], records.segment))
         place = {term: inertial.shape[1] + index for index, term in enumerate(terms)}
         first = inertial.shape[1] + len(effects) + 1
-        covariance = None if remainder.unsure is None else remainder.unsure / noise[channel].variances[-1]
+        covariance = None if remainder.covariance is None else remainder.covariance / noise[channel].variances[-1]
         channels.append(
             ChannelRows.of(
                 white[:, :first],

@@ -10,11 +10,11 @@ from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import EffectsFit
 from geomid_ros.gap.evidence.features import hats, knots
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.records import Records
 from geomid_ros.gap.result import GapErrors, ResidualDependence, Trace
-from geomid_ros.inference.fit import unfitted
+from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.inference.remainder import DEFAULT_VARIANCE
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
 GAP_ABOVE = 1.15
@@ -31,7 +31,7 @@ class HeldOut:
         self._prior = analysis.search.prior
         self._analysis = analysis
         self._last = self._problem(analysis.effects)
-        self._untouched = unfitted(analysis.search.prior)
+        self._untouched = fit_of_prior(analysis.search.prior)
         self._residuals: dict[EffectsFit, FloatArray] = {}
 
     @cached_property
@@ -43,7 +43,7 @@ class HeldOut:
         names = self._analysis.effects
         variance = self._last.variance(self._last.columns(names.chosen, self._prior.terms), names)
         uncertainty = self._times_floor(np.sqrt(variance))
-        fits = (self._untouched, self._analysis.bare, names)
+        fits = (self._untouched, self._analysis.inertias_only, names)
         before, bare, after = (self.times_floor(fit) for fit in fits)
         blocks = (len(rows.depends_on) if rows.mean is not None else 0 for rows in self._analysis.problem.features)
         return GapErrors(before, bare, after, np.sqrt(1.0 + uncertainty**2 + DEFAULT_VARIANCE * np.array([*blocks])))
@@ -62,7 +62,7 @@ class HeldOut:
         remainder and without: it may not hold for another motion."""
         # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
         limit = GAP_ABOVE * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) * self.gap.expected
-        without_standing = self._times_floor(self._residual(self._analysis.effects) - self._last.expected)
+        without_standing = self._times_floor(self._residual(self._analysis.effects) - self._last.expected_remainder)
         after = np.minimum(self.gap.after, without_standing)
         return np.asarray(np.nan_to_num(after) >= np.nan_to_num(limit, nan=np.inf))
 
@@ -76,7 +76,7 @@ class HeldOut:
     def trace(self) -> Trace:
         """Measured values and predictions."""
         samples, measured = self._records.samples, self._records.rows(self._model).targets
-        fits = (self._untouched, self._analysis.bare, self._analysis.effects)
+        fits = (self._untouched, self._analysis.inertias_only, self._analysis.effects)
         before, middle, after = (measured - self._residual(fit) for fit in fits)
         return Trace(
             stamps=samples.stamps,
@@ -90,10 +90,10 @@ class HeldOut:
         )
 
     @cached_property
-    def located(self) -> tuple[ResidualDependence, ...]:
+    def residual_dependences(self) -> tuple[ResidualDependence, ...]:
         """Variables that explain each channel's remainder."""
         residual = np.where(self._last.valid, self._residual(self._analysis.effects), np.nan)
-        return located(self._model, self._records, residual, self.trace.load)
+        return locate_residuals(self._model, self._records, residual, self.trace.load)
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -120,7 +120,7 @@ class HeldOut:
         return np.asarray(np.sqrt(squares / counts) / self._analysis.floor)
 
 
-def located(
+def locate_residuals(
     model: MeasurementModel, records: Records, residual: FloatArray, load: FloatArray
 ) -> tuple[ResidualDependence, ...]:
     """Locate the ``residual (N, C)`` of each channel; a wrench channel has no joint, only load and time."""

@@ -14,7 +14,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.effects import AtSensor, Effect, Quantity, Values
 from geomid_ros.model.effects.parameters import quantities
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _NOTHING: Mapping[str, Quantity] = {}
@@ -22,16 +22,16 @@ _BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of severa
 
 
 def parameters(
-    model: MeasurementModel, found: EffectsFit, candidate: Candidate, unsure: float = 0.0, usual_load: float = 0.0
+    model: MeasurementModel, found: EffectsFit, candidate: Candidate, log_std: float = 0.0, usual_load: float = 0.0
 ) -> dict[str, Quantity]:
-    """Parameters of a candidate with their standard deviations. ``unsure`` is that of the logarithm of the grid
+    """Parameters of a candidate with their standard deviations. ``log_std`` is that of the logarithm of the grid
     constant, ``usual_load`` [N m or N] that of the load that the joint's gear transmits."""
     if candidate.payload is not None:
         return _of_payload(found, candidate.effect, candidate.payload)
     values = np.array([found.value(term) for term in candidate.terms])
     places = [found.place(term) for term in candidate.terms]
     covariance = found.covariance[np.ix_(places, places)]
-    return _quantities(model, candidate, values, covariance, unsure, usual_load)
+    return _quantities(model, candidate, values, covariance, log_std, usual_load)
 
 
 def known_before(model: MeasurementModel, prior: EffectsPrior, candidate: Candidate, usual_load: float = 0.0) -> Values:
@@ -91,8 +91,8 @@ def _quantities(
     effect, place = candidate.effect, candidate.place
     if not isinstance(place, AtSensor):
         sliding = model.places.slides(place)
-        return effect.quantities(values, covariance, sliding=sliding, unsure=unsure, usual_load=usual_load)
-    forms = {form.name: form for form in effect.own}
+        return effect.quantities(values, covariance, sliding=sliding, log_std=unsure, usual_load=usual_load)
+    forms = {form.name: form for form in effect.column_parameters}
     measured = [forms[model.channels[channel].axis] for channel in place.channels]
     return quantities(measured, zip(values, np.sqrt(np.diag(covariance)), strict=True))
 

@@ -14,11 +14,11 @@ from geomid_ros.gap.judgement import sentences
 from geomid_ros.gap.judgement.held_out import HeldOut, strongest
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import fit, scattered
-from geomid_ros.inference.probability import probability_of_square, relative_doubt
+from geomid_ros.inference.probability import probability_of_square, relative_std_from_remainder
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import EFFECTS, Quantity, Values
 from geomid_ros.model.effects.situation import OnLink
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _NEAR = 20.0  # in minus twice a logarithm: rivals less likely than one in ten thousand are not reported
@@ -37,10 +37,10 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     without = search.without(names, candidate)
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
     joint, link = model.places.name(candidate.place), model.places.link(candidate.place)
-    load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.grid_value else 0.0
+    load = analysis.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
     parameters = sentences.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = sentences.known_before(model, search.prior, candidate, load)
-    parameters = beside_remainder(analysis, candidate, parameters, was)
+    parameters = widened_by_remainder(analysis, candidate, parameters, was)
     moment = sentences.first_moment(sized, candidate)
     if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
         moment = {}
@@ -63,11 +63,11 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     )
 
 
-def beside_remainder(
+def widened_by_remainder(
     analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values
 ) -> dict[str, Quantity]:
     """Widen the parameters' standard deviations by the effect of the remainder, and by their drift between motions."""
-    effect, doubt = candidate.effect, np.hypot(analysis.supports[candidate].doubt, candidate.effect.drift)
+    effect, doubt = candidate.effect, np.hypot(analysis.supports[candidate].relative_std, candidate.effect.drift)
     sizes = effect.sizes(parameters).items()
     changes = {name: abs(size.value - was.get(name, effect.absent_value)) for name, size in sizes}
     return parameters | {n: replace(q, std=float(np.hypot(q.std, doubt * changes[n]))) for n, q in sizes}
@@ -102,7 +102,7 @@ def _share(analysis: Analysis, candidate: Candidate) -> float:
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
     """Standard deviation of the logarithm of a grid constant, from the curvature of the score over its neighbours; 1
     where that is not informative, 0 for an effect without one."""
-    if not candidate.effect.grid_value or candidate.known:
+    if not candidate.effect.grid_value or candidate.in_model:
         return 0.0
     search, names = analysis.search, analysis.effects
     grid = sorted((c for c in search.hypotheses if c.group == candidate.group), key=lambda c: c.effect.grid_value)
@@ -126,7 +126,7 @@ def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) ->
         explained = lacks[place].explained
         known = len(explained) and np.max(explained) > _MOST_OF_IT
         features = analysis.problem.features[place].depends_on
-        variable = features[int(np.argmax(explained))] if known else strongest(unseen.located[place])
+        variable = features[int(np.argmax(explained))] if known else strongest(unseen.residual_dependences[place])
         result.append(Unexplained(model.channels[place].name, variable, float(unseen.gap.after[place])))
     return tuple(result)
 
@@ -175,7 +175,7 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
     free = fit(search.design, prior, names.chosen, names, names.prior_stds).score
     for link, was in enumerate(nominal):
         change = names.inertias[link] - was
-        doubt = relative_doubt(search.design, names, link, change)
+        doubt = relative_std_from_remainder(search.design, names, link, change)
         std = np.hypot(stds[10 * link : 10 * link + 10], doubt * change)
         deviations, moment, centre = (change / std)[:1], {}, {}
         if abs(change[0]) < _LEAST * was[0] or link == search.prior.changed_link:

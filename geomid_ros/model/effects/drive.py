@@ -184,11 +184,11 @@ class Backlash(SituationEffect):
         )
         return 0.5 * situation.lag_column(joint, position, rate, acceleration)
 
-    def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:
+    def constants(self, found: Sequence[Found], log_std: float, usual_load: float) -> list[Found]:
         """Return the drag against which the typical load crosses the gap in the chosen time."""
         ((gap, std),) = found
         drag = usual_load * self.grid_value / gap
-        return [(drag, drag * float(np.hypot(unsure, std / gap)))]
+        return [(drag, drag * float(np.hypot(log_std, std / gap)))]
 
     @classmethod
     def from_values(cls, values: Values, usual_load: float = 0.0) -> Backlash:
@@ -257,7 +257,7 @@ class _CoupledMotor(PairEffect):
         effort = self.of_motor(JointMotion(first.states + self.ratio * second.states))
         return effort, self.ratio * effort
 
-    def constants(self, found: object, unsure: float, usual_load: float) -> list[tuple[float, float]]:  # noqa: ARG002
+    def constants(self, found: object, log_std: float, usual_load: float) -> list[tuple[float, float]]:  # noqa: ARG002
         """Return the ratio, which is exact."""
         return [(self.ratio, 0.0)]
 

@@ -96,7 +96,7 @@ class Effect(ABC):
     """True if its estimate is built into the model (gravity, time, scale); its column is then for the change only."""
     largest: ClassVar[float] = np.inf
     """Largest plausible absolute coefficient of a robot that works."""
-    of_sensor: ClassVar[bool] = False
+    is_sensor_error: ClassVar[bool] = False
     """True if it is a measurement error without effect on the motion, so robot files need not contain it."""
     prior_std_fraction: ClassVar[float | None] = None
     """Prior standard deviation about zero, as a fraction of its channel's measurements; None if its prior comes from a
@@ -138,7 +138,7 @@ class Effect(ABC):
         return 0
 
     @property
-    def own_positives(self) -> int:
+    def column_positives(self) -> int:
         """Number of coefficients of its own columns that cannot be negative when identified with the inertias."""
         return self.positives
 
@@ -148,7 +148,7 @@ class Effect(ABC):
         return (self,)
 
     @property
-    def own(self) -> tuple[ParameterForm, ...]:
+    def column_parameters(self) -> tuple[ParameterForm, ...]:
         """Parameters of the coefficients of its own columns; its other parts define theirs."""
         first = self.parts.index(self)
         return self.parameters[first : first + self.count]
@@ -174,7 +174,7 @@ class Effect(ABC):
         """True if the ``coefficients (k,)`` are out of range for a robot that works, whatever their signs."""
         return bool(np.any(np.abs(coefficients) > self.largest))
 
-    def is_supported(self, beside: Mapping[Effect, float]) -> bool:  # noqa: ARG002
+    def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:  # noqa: ARG002
         """True if all effects at its place, given with coefficients, together show the behaviour it stands for."""
         return True
 
@@ -199,7 +199,7 @@ class Effect(ABC):
         covariance: FloatArray,
         *,
         sliding: bool = False,
-        unsure: float = 0.0,
+        log_std: float = 0.0,
         usual_load: float = 0.0,
     ) -> dict[str, Quantity]:
         """Return its parameters by name.
@@ -207,7 +207,7 @@ class Effect(ABC):
         Args:
             coefficients: fitted coefficients ``(k,)``, with their ``covariance (k, k)``.
             sliding: True if its joint is prismatic.
-            unsure: standard deviation of the logarithm of the chosen constant.
+            log_std: standard deviation of the logarithm of the chosen constant.
             usual_load: standard deviation of the joint's gear load [N m or N].
 
         If a coefficient is zero, its parameter may be infinite or NaN: a spring without stiffness has no equilibrium.
@@ -216,11 +216,11 @@ class Effect(ABC):
             values, jacobian = self.transformed(coefficients)
             stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
         first = [(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
-        return quantities(self.parameters, [*first, *self.constants(first, unsure, usual_load)], sliding=sliding)
+        return quantities(self.parameters, [*first, *self.constants(first, log_std, usual_load)], sliding=sliding)
 
-    def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:  # noqa: ARG002
+    def constants(self, found: Sequence[Found], log_std: float, usual_load: float) -> list[Found]:  # noqa: ARG002
         """Return values and stds of the parameters that are constants, given those of the first parameters."""
-        constants = [(self.grid_value, unsure * self.grid_value)] if self.constant else []
+        constants = [(self.grid_value, log_std * self.grid_value)] if self.constant else []
         name = self.default_constant
         if name and getattr(self, name) != getattr(type(self), name):
             constants.append((float(getattr(self, name)), 0.0))
@@ -238,7 +238,7 @@ class Effect(ABC):
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:
         """Convert parameters to coefficients, by the :attr:`parts` that they belong to."""
         instance = cls.from_values(values, usual_load)
-        return {instance: tuple(values[form.name] for form in instance.own)}
+        return {instance: tuple(values[form.name] for form in instance.column_parameters)}
 
     @classmethod
     def updated(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
@@ -253,7 +253,9 @@ class Effect(ABC):
         """
         if cls.name not in found or cls.corrected_in_samples:
             return known, found
-        updated = {form.name: found[cls.name][form.name] for form in cls().own if form.name in found[cls.name]}
+        updated = {
+            form.name: found[cls.name][form.name] for form in cls().column_parameters if form.name in found[cls.name]
+        }
         return {**known, **updated}, {name: other for name, other in found.items() if name != cls.name}
 
     @classmethod
@@ -341,7 +343,7 @@ class MotionEffect(Effect):
         """Return all of its efforts, unless the MJCF contains the effect."""
         if any(form.mjcf for form in self.parameters):
             return 0.0
-        return values[self.own[0].name] * self.efforts(motion, place)
+        return values[self.column_parameters[0].name] * self.efforts(motion, place)
 
 
 class JointEffect(MotionEffect):
@@ -396,7 +398,7 @@ class SensorEffect(Effect):
 
     place: ClassVar[PlaceKind] = "sensor"
     count = 6
-    of_sensor = True
+    is_sensor_error = True
 
     @abstractmethod
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:

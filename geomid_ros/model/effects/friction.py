@@ -153,7 +153,7 @@ class StribeckFriction(JointEffect):
         return 2
 
     @property
-    def own_positives(self) -> int:
+    def column_positives(self) -> int:
         """1, the excess. (Dry friction that sets in gradually is :class:`SaturatingFriction`.)"""
         return 1
 
@@ -161,11 +161,11 @@ class StribeckFriction(JointEffect):
         """True if the excess is many times the level."""
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
 
-    def is_supported(self, beside: Mapping[Effect, float]) -> bool:
+    def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
         """True if dry friction falls with speed by more than half of the excess. Otherwise the excess only reshapes
         friction near rest, or compensates another friction."""
-        friction = dry_friction(beside)
-        return bool(np.max(np.maximum.accumulate(friction) - friction) > 0.5 * beside[self])
+        friction = dry_friction(effects_at_place)
+        return bool(np.max(np.maximum.accumulate(friction) - friction) > 0.5 * effects_at_place[self])
 
     def column(self, motion: JointMotion) -> FloatArray:
         return CoulombFriction(self.smoothing).column(motion) * np.exp(-((motion.velocity / self.speed) ** 2))
@@ -319,9 +319,9 @@ class Presliding(JointEffect):
         """Return all variants."""
         return cls.grid()
 
-    def is_supported(self, beside: Mapping[Effect, float]) -> bool:
+    def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
         """True if the joint's dry friction is at least as large, up to drift, as the part that keeps its sign."""
-        return bool(beside[self] <= (1.0 + self.drift) * np.max(dry_friction(beside)))
+        return bool(effects_at_place[self] <= (1.0 + self.drift) * np.max(dry_friction(effects_at_place)))
 
     @classmethod
     def states(cls, effects: Sequence[Self], moved: FloatArray, before: FloatArray) -> FloatArray:

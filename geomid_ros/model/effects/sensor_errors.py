@@ -20,7 +20,7 @@ class EffortOffset(JointEffect):
     meaning = "measured effort = true + offset; with a gain, gain (true + offset)"
     parameters = (ParameterForm("offset", EFFORT),)
     confusable_with_payload = True
-    of_sensor = True
+    is_sensor_error = True
     # If a joint moves little, gravity looks like an offset: with a wider prior an offset could absorb a mass.
     prior_std_fraction = 0.05
     settled_by = "a recording in which gravity loads the joint in both directions"
@@ -166,7 +166,7 @@ class CommandDelay(MotionEffect):
     label = "a delay of commands"
     meaning = "effort = kp (q_c(t - delay) - q) + kd (v_c(t - delay) - v) + feed-forward(t - delay)"
     parameters = (ParameterForm("delay", ("s", "s"), above=-1.0, below=1.0),)
-    of_sensor = True
+    is_sensor_error = True
     settled_by = "faster commands"
     place = "commands"
 

@@ -182,6 +182,6 @@ class Situation(Sensitivity):
             + self.by_acceleration[:, :, joint, None] * acceleration[:, None, None]
         )
 
-    def usual_load(self, place: Place) -> float:
+    def typical_load(self, place: Place) -> float:
         """Return the std of the rigid-body load of a place's (first) joint [N m or N]; 0 without a joint."""
         return float(np.std(self.load[:, joints_of(place)[0]])) if joints_of(place) else 0.0

@@ -14,14 +14,14 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.trajectories import points_of
-from geomid_ros.ros.starting import MATCHING, PATIENCE
+from geomid_ros.ros.startup import MATCHING, PATIENCE
 
 _KIND = "trajectory_msgs/msg/JointTrajectory"
 NOT_ACCEPTED = "not accepted; check that the controller is active and has these joints"
 """Reason that is reported for a rejected goal, as the rejection itself has none."""
 
 
-class Controller(Protocol):
+class TrajectoryController(Protocol):
     """Follows trajectories; each replaces the previous one at once. ``name``: of its topic or action."""
 
     name: str
@@ -107,7 +107,7 @@ def message_of(trajectory: Trajectory) -> JointTrajectory:
     return message
 
 
-def find_controller(node: Node, controller: str, look: Callable[[], object]) -> Controller:
+def find_controller(node: Node, controller: str, look: Callable[[], object]) -> TrajectoryController:
     """Find the controller of this name.
 
     Args:
@@ -118,8 +118,8 @@ def find_controller(node: Node, controller: str, look: Callable[[], object]) -> 
     Raises:
         InputError: it is not available; the error names the available ones.
     """
-    interfaces: list[Controller] = [*_action(node, controller), TopicController(node, controller)]
-    ready: Controller | None = None
+    interfaces: list[TrajectoryController] = [*_action(node, controller), TopicController(node, controller)]
+    ready: TrajectoryController | None = None
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         look()
@@ -153,7 +153,7 @@ def follow_joint_trajectory() -> Any:
         return None
 
 
-def _action(node: Node, controller: str) -> list[Controller]:
+def _action(node: Node, controller: str) -> list[TrajectoryController]:
     if (action := follow_joint_trajectory()) is None:
         return []
     from rclpy.action.client import ActionClient  # noqa: PLC0415 only with control_msgs

@@ -15,12 +15,17 @@ from rclpy.node import Node
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.approach import ApproachPath, stopping_accelerations, stopping_trajectory, trajectory_through
 from geomid_ros.excitation.motion import Trajectory
-from geomid_ros.excitation.watch import JointState, MotionMonitor, RobotLimits, check_motion
+from geomid_ros.excitation.motion_monitor import JointState, MotionMonitor, RobotLimits, check_motion
 from geomid_ros.model.robot import Robot
-from geomid_ros.ros.excite.controller import Controller, find_controller
-from geomid_ros.ros.excite.robot import Recorder, RobotMonitor
-from geomid_ros.ros.starting import PATIENCE, running_node
-from geomid_ros.session.collision_scene import NOT_LOOKED, collision_model, not_watched, without_touching
+from geomid_ros.ros.excite.controller import TrajectoryController, find_controller
+from geomid_ros.ros.excite.robot_monitor import Recorder, RobotMonitor
+from geomid_ros.ros.startup import PATIENCE, running_node
+from geomid_ros.session.collision_scene import (
+    COLLISIONS_NOT_CHECKED,
+    collision_model,
+    excluded_pairs_note,
+    without_touching,
+)
 from geomid_ros.session.options import RunOptions
 from geomid_ros.types import FloatArray
 
@@ -31,7 +36,7 @@ _RESTING, _LATELY = 0.02, 0.1  # [rad/s, m/s] below which a joint is at rest, ov
 
 
 @dataclass(frozen=True, kw_only=True)
-class Order:
+class MotionRequest:
     """Request to run a motion.
 
     Attributes:
@@ -56,10 +61,10 @@ class Order:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Plan of a run: the slow ``way`` from the present pose to the start, then the ``motion``, within ``limits``. Joint
-    states may be missing for ``silence`` [s]. ``notes``: sentences on the checks."""
+    """Plan of a run: the slow ``approach`` from the present pose to the start, then the ``motion``, within ``limits``.
+    Joint states may be missing for ``silence`` [s]. ``notes``: sentences on the checks."""
 
-    way: Trajectory
+    approach: Trajectory
     motion: Trajectory
     limits: RobotLimits
     silence: float
@@ -67,7 +72,7 @@ class Plan:
 
 
 @contextmanager
-def prepared_run(order: Order) -> Iterator[MotionRun]:
+def prepared_run(order: MotionRequest) -> Iterator[MotionRun]:
     """Prepare a run with its node. SIGINT and SIGTERM stop it.
 
     Raises:
@@ -88,7 +93,7 @@ def prepared_run(order: Order) -> Iterator[MotionRun]:
 class MotionRun:
     """Run of one motion on one robot; see :func:`prepared_run`."""
 
-    def __init__(self, node: Node, order: Order, interrupted: Callable[[], bool]) -> None:
+    def __init__(self, node: Node, order: MotionRequest, interrupted: Callable[[], bool]) -> None:
         self._node = node
         self._order = order
         self._interrupted = interrupted
@@ -138,14 +143,14 @@ class MotionRun:
         collision = collision_model(options, robot, Path(robot.source))
         received = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
         passage = ApproachPath(robot, motion.joints, np.nan_to_num(received), collision)
-        unwatched = without_touching(collision, passage.whole(start[None])[0]) if collision else ()
+        unwatched = without_touching(collision, passage.all_positions(start[None])[0]) if collision else ()
         for label, position in (("at the present pose", present), ("at the start of the motion", start)):
             if touching := passage.overlap(position):
                 raise InputError(f"{label}, {touching}; move it away first, or correct --avoid")
-        passage.keep(np.array([present, start]), options.clearance)
+        passage.require_clearance(np.array([present, start]), options.clearance)
         passage.check(motion, self._order.source)
-        notes = ["" if collision else NOT_LOOKED, not_watched(unwatched)]
-        return [present, *passage.to(present, start)], tuple(filter(None, notes))
+        notes = ["" if collision else COLLISIONS_NOT_CHECKED, excluded_pairs_note(unwatched)]
+        return [present, *passage.find_postures(present, start)], tuple(filter(None, notes))
 
     def execute(self, bag: Path, say: Callable[[str], None]) -> None:
         """Move, and record.
@@ -158,15 +163,15 @@ class MotionRun:
             GeomidError: the motion was stopped, for the reason stated. The bag is complete.
         """
         controller = find_controller(self._node, self._order.options.controller, self._robot.poll)
-        with self._robot.recorded(bag, self._urdf) as recorder:
-            for name, motion in (("to the start", self.plan.way), ("the motion", self.plan.motion)):
+        with self._robot.record(bag, self._urdf) as recorder:
+            for name, motion in (("to the start", self.plan.approach), ("the motion", self.plan.motion)):
                 say(f"{name}: {motion.duration:.1f} s")
                 self._follow(motion, controller, recorder, say)
         if recorder.problem:
             raise GeomidError(recorder.problem)
 
     def _follow(
-        self, motion: Trajectory, controller: Controller, recorder: Recorder, say: Callable[[str], None]
+        self, motion: Trajectory, controller: TrajectoryController, recorder: Recorder, say: Callable[[str], None]
     ) -> None:
         """Let the robot follow a motion, and monitor it. Raises GeomidError if it had to be stopped."""
         if self._interrupted():
@@ -189,7 +194,9 @@ class MotionRun:
             ending = self._ending(way.duration + _SETTLING)
             raise GeomidError(f"the motion was stopped: {problem}. {ending}. Recorded until then: {recorder.path}")
 
-    def _watched(self, watch: MotionMonitor, duration: float, controller: Controller, recorder: Recorder) -> str:
+    def _watched(
+        self, watch: MotionMonitor, duration: float, controller: TrajectoryController, recorder: Recorder
+    ) -> str:
         """Return the reason to stop the robot; empty once the motion is over."""
         before = time.monotonic()
         while watch.elapsed < duration:

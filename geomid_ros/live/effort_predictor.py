@@ -13,10 +13,10 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.monitoring.payload_watch import CarriedPayload, with_payload
 from geomid_ros.session.session import Session
-from geomid_ros.signals.arrived import NO_STAMP
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.ledger import count_reason
+from geomid_ros.signals.message_batch import NO_STAMP
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.pipeline import ignore
 from geomid_ros.types import FloatArray, IntArray
@@ -35,9 +35,9 @@ class Predicted:
     efforts: FloatArray
 
 
-class Stream:
-    """Predicts efforts with the latest estimate and payload. One thread calls :meth:`use` and :meth:`carry`, another
-    everything else.
+class EffortPredictor:
+    """Predicts efforts with the latest estimate and payload. One thread calls :meth:`set_model` and
+    :meth:`set_payload`, another everything else.
 
     Accelerations are differences of velocities after a first-order low-pass at half the rate of the samples.
     """
@@ -58,17 +58,17 @@ class Stream:
         """True if there is an estimate that yields efforts."""
         return self._model is not None
 
-    def use(self, session: Session, estimate: Estimate) -> None:
+    def set_model(self, session: Session, estimate: Estimate) -> None:
         """Predict with an ``estimate`` from now on."""
         self._used = session, estimate
         self.obstacle = _obstacle(session)
         self._model = None if self.obstacle else _Model.of(session, with_payload(estimate, self._carried))
 
-    def carry(self, carried: CarriedPayload | None) -> None:
+    def set_payload(self, carried: CarriedPayload | None) -> None:
         """Predict with this payload from now on, or with none."""
         self._carried = carried
         if self._used is not None:
-            self.use(*self._used)
+            self.set_model(*self._used)
 
     def forget(self) -> None:
         """Predict nothing until the next estimate."""

@@ -14,9 +14,9 @@ from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPrior, EffectTerm
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.evidence.record import Records, TotalModel
+from geomid_ros.gap.evidence.records import Records, TotalModel
 from geomid_ros.gap.judgement import sentences
-from geomid_ros.gap.judgement.verdict import beside_remainder, probability_by_size, with_given_spreads
+from geomid_ros.gap.judgement.verdict import probability_by_size, widened_by_remainder, with_given_spreads
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.geometry.definite import Packed
 from geomid_ros.inference.design import Design
@@ -33,7 +33,7 @@ from geomid_ros.model.effects import (
     joints_of,
 )
 from geomid_ros.model.effects.effect import LoadEffect
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
 _REFITS = 2  # the second linearised at the result of the first
@@ -42,7 +42,7 @@ _ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFE
 
 
 @dataclass(frozen=True, eq=False)
-class Written:
+class ConfirmedChanges:
     """The ``found`` fit; its ``inertias (links, 10)``, of unchanged links exactly as given; ``findings`` and ``links``
     with its sizes, without those that are less likely than nothing; and, where nothing was known of joints before,
     their ``ordinary`` effects, which need no finding."""
@@ -54,13 +54,13 @@ class Written:
     ordinary: tuple[KnownEffect, ...]
 
 
-def written(
+def confirmed_changes(
     model: MeasurementModel,
     records: Records,
     analysis: Analysis,
     findings: Sequence[tuple[Candidate, Finding]],
     links: Sequence[LinkChange],
-) -> Written:
+) -> ConfirmedChanges:
     """Undo the changes that have no sure name, and fit the rest again.
 
     During the search, all that the model has may drift a little, and unsure named effects absorb what they can. In a
@@ -80,9 +80,9 @@ def written(
     kept_links = [before if before.confidence == after.confidence else after for before, after in pairs_of_links]
     if (kept, kept_links) != (list(findings), list(links)):
         # A change that is no longer sure must not be in the file, and it affects all other sizes.
-        return written(model, records, analysis, kept, kept_links)
+        return confirmed_changes(model, records, analysis, kept, kept_links)
     ordinary = [c for c in refitted.chosen if c not in sure]
-    return Written(
+    return ConfirmedChanges(
         refitted,
         np.where(refit.held[:, None], analysis.search.prior.inertias.reshape(-1, 10), refitted.inertias),
         tuple(finding for finding in sized if finding.is_likely),
@@ -184,7 +184,7 @@ def _with_ordinary(
     would absorb gravity."""
     named_terms = {term for candidate in named for term in candidate.terms}
     terms = tuple(term for candidate in ordinary for term in candidate.terms if term not in named_terms)
-    sizes = problem.usual_sizes(terms)
+    sizes = problem.typical_sizes(terms)
     spreads = DEFAULT_PRIOR_STD * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # any, if zero
     return replace(
         prior,
@@ -217,9 +217,9 @@ def _findings_as_written(
         if finding.confidence != "confident":
             yield finding
         elif candidate in joint_fit.chosen:
-            load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.grid_value else 0.0
+            load = analysis.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
             parameters = sentences.parameters(model, joint_fit, candidate, usual_load=load)
-            widened = beside_remainder(analysis, candidate, parameters, finding.was)
+            widened = widened_by_remainder(analysis, candidate, parameters, finding.was)
             sized = {**finding.parameters, **candidate.effect.sizes(widened)}
             listed = analysis.search.prior.identified and finding.moment  # in a URDF the links' are as uncertain
             moment = sentences.first_moment(joint_fit, candidate) if listed else {}
@@ -248,7 +248,7 @@ def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, j
         moment=_all_moved(link.moment, change[1:4]),
         centre=_all_moved(link.centre, change[1:4] / change[0]),
     )
-    return replace(sized, probability=min(link.probability, probability_of_square(sized.told)))
+    return replace(sized, probability=min(link.probability, probability_of_square(sized.squared_significance)))
 
 
 def _all_moved(quantities: Mapping[str, Quantity], values: FloatArray) -> dict[str, Quantity]:
@@ -299,7 +299,7 @@ def _is_of_one_joint(term: EffectTerm) -> bool:
 
 
 def _form(term: EffectTerm) -> ParameterForm:
-    return term.effect.own[term.index]
+    return term.effect.column_parameters[term.index]
 
 
 def _is_unrepresentable(term: EffectTerm) -> bool:

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, PROBABLE, TILT, probabilities
-from geomid_ros.checks.causes import Cause, Finding, written
+from geomid_ros.checks.causes import Cause, RecordingFault, format_settings
 from geomid_ros.checks.evidence import FRICTION, LARGEST_RESIDUAL, Unknowns, evidence, prior_factor
-from geomid_ros.checks.instants import FEWEST, STEP
+from geomid_ros.checks.sample_reservoir import FEWEST, STEP
 from geomid_ros.model.channels import AXES, WrenchSensor
-from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -69,7 +69,7 @@ class WrenchSensorCheck:
             rotations.append(np.array(robot.placement(self._sensor.frame).rotation))
         return np.array(rotations)
 
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[RecordingFault, ...]:
         """Return what is wrong with the sensor; nothing if nothing is, or the data are not informative."""
         if len(self._wrench) < FEWEST or not np.all(np.std(self._wrench, axis=0) > 0.0):
             return ()
@@ -80,20 +80,20 @@ class WrenchSensorCheck:
         probability, _ = probabilities([best.log - reference.log], len(tried))
         remaining = nominal.sigmas * best.sigmas / reference.sigmas
         if probability > PROBABLE and np.all(remaining < LARGEST_RESIDUAL):
-            return (Finding(cause=cause),)
+            return (RecordingFault(cause=cause),)
         return self._sign_or_unit(nominal)
 
-    def _sign_or_unit(self, fit: _Fit) -> tuple[Finding, ...]:
+    def _sign_or_unit(self, fit: _Fit) -> tuple[RecordingFault, ...]:
         if not fit.sigmas[0] < LARGEST_RESIDUAL:
             return ()
         if fit.slope < 0.0:
             settings = {f"wrench.{self._name}.sign": -self._sensor.sign}
             minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
-            flaw = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
-            return (Finding(cause=self._cause(flaw, settings)),)
+            flaw = f"its sign is reversed: write {format_settings(settings)} (on the command line, {minus})"
+            return (RecordingFault(cause=self._cause(flaw, settings)),)
         if (unit := _is_other_unit(fit.slope)) or fit.slope < 1.0 / LARGEST_MASS_FACTOR:
             flaw = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
-            return (Finding(cause=self._cause(flaw), sure=unit),)
+            return (RecordingFault(cause=self._cause(flaw), sure=unit),)
         return ()
 
     def _cause(self, flaw: str, settings: dict[str, float] | None = None) -> Cause:
@@ -148,8 +148,8 @@ class WrenchSensorCheck:
         sizes = np.maximum(np.sqrt(np.mean(target**2, axis=0)), _FLOOR)
         none = np.zeros((len(target), 2, FRICTION))
         fitted = evidence(target / sizes, Unknowns.of(columns, none), np.ones((2, FRICTION)), units=sizes)
-        forces = (columns @ fitted.links).reshape(-1, 3, 2)[:, :, 0]
-        return _Fit(fitted.log / len(wrench), fitted.sigmas, float(np.sum(forces * nominal)) / square)
+        forces = (columns @ fitted.link_errors).reshape(-1, 3, 2)[:, :, 0]
+        return _Fit(fitted.log_evidence / len(wrench), fitted.sigmas, float(np.sum(forces * nominal)) / square)
 
 
 def _is_other_unit(ratio: float) -> bool:

@@ -9,11 +9,11 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from geomid_ros.estimation.fit import INDEPENDENT
+from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
-from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples, moves_one_way
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -49,7 +49,7 @@ class Records:
                 if len(stretch) < _FEWEST:
                     continue
                 period = _period(stretch)
-                step = max(1, round(1.0 / (INDEPENDENT * cutoff * period)))
+                step = max(1, round(1.0 / (INDEPENDENT_ROWS_PER_PERIOD * cutoff * period)))
                 margin = round(0.5 / (cutoff * period)) + 1  # derivatives by time would reach beyond the ends
                 index = np.arange(margin, len(stretch) - margin, step)
                 if len(index) > 2:
@@ -57,7 +57,7 @@ class Records:
                     chosen.append(index)
         return Records(tuple(dense), tuple(chosen), cutoff)
 
-    def advanced(self, seconds: float) -> Records:
+    def with_shifted_efforts(self, seconds: float) -> Records:
         """Return the records with efforts from ``seconds`` later; NaN beyond the ends."""
         if seconds == 0.0:
             return self
@@ -99,7 +99,7 @@ class Records:
         return valid
 
     @cached_property
-    def unsettled(self) -> FloatArray:
+    def friction_ambiguity(self) -> FloatArray:
         """Difference of two dry friction models of level 1 ``(N, joints)``; large near reversals: the past matters."""
         return np.concatenate([_unsettled(part)[index] for part, index in zip(self.dense, self.chosen, strict=True)])
 
@@ -161,17 +161,19 @@ class TotalModel:
     def gravity(self) -> FloatArray:
         """Gravity ``(3,)`` in the base frame [m/s^2]."""
         gravity = self.straight_gravity
-        for effect, _, coefficients in self.absorbed:
+        for effect, _, coefficients in self.compensated_effects:
             gravity = effect.tilted_gravity(gravity, effect.values(coefficients))
         return gravity
 
     @property
     def lag(self) -> float:
         """Delay of the measured efforts behind the motion [s]."""
-        return sum(effect.effort_lag(effect.values(coefficients)) for effect, _, coefficients in self.absorbed)
+        return sum(
+            effect.effort_lag(effect.values(coefficients)) for effect, _, coefficients in self.compensated_effects
+        )
 
     @property
-    def absorbed(self) -> list[tuple[SituationEffect, Place, FloatArray]]:
+    def compensated_effects(self) -> list[tuple[SituationEffect, Place, FloatArray]]:
         """Effects that are built into the model instead of being columns: on gravity, time and scale."""
         absorbed = [
             (effect, place, coefficients)
@@ -185,7 +187,7 @@ class TotalModel:
     def scales(self, channels: int) -> FloatArray:
         """Factors ``(channels,)`` from true to measured values."""
         scales = np.ones(channels)
-        for effect, place, coefficients in self.absorbed:
+        for effect, place, coefficients in self.compensated_effects:
             if effect.scales_measurement:
                 scales[list(joints_of(place))] *= effect.effort_scale(effect.values(coefficients))
         return scales

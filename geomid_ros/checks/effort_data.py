@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.checks.baseline_fit import BaselineFit
 from geomid_ros.checks.evidence import (
     FRICTION,
     LARGEST_RESIDUAL,
@@ -18,8 +19,7 @@ from geomid_ros.checks.evidence import (
     evidence,
     prior_factor,
 )
-from geomid_ros.checks.flexible import FlexibleFit
-from geomid_ros.checks.instants import FEWEST, KeptSamples
+from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -32,7 +32,7 @@ _OF_MOTION = (
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Subject:
+class EffortData:
     """C joints of a robot whose efforts are checked, and N samples that were recorded of them.
 
     Attributes:
@@ -40,25 +40,25 @@ class Subject:
         samples: those of the recording at which the efforts of these joints are measured.
         joints: ``(C,)`` their indices among the robot's.
         gains: ``(C,)`` factors on the messages' efforts.
-        prior: ``(D,)`` the URDF's parameters.
+        urdf_parameters: ``(D,)`` the URDF's parameters.
         factor: ``(bodies, 10, 10)`` of the covariance of their errors.
         shares: ``(N,)`` fraction of the recording before each sample, 0 to 1.
         recordings: ``(N,)`` number of each sample's recording.
-        later: the next sample after each of them.
+        next_samples: the next sample after each of them.
     """
 
     robot: Robot
     samples: Samples
     joints: IntArray
     gains: FloatArray
-    prior: FloatArray
+    urdf_parameters: FloatArray
     factor: FloatArray
     shares: FloatArray
     recordings: IntArray
-    later: Samples
+    next_samples: Samples
 
     @staticmethod
-    def of(robot: Robot, kept: KeptSamples, gains: FloatArray) -> Subject:
+    def of(robot: Robot, kept: KeptSamples, gains: FloatArray) -> EffortData:
         """Select the joints whose efforts are measured and change, with the robot's URDF as prior.
 
         Args:
@@ -71,60 +71,60 @@ class Subject:
         joints = np.flatnonzero((np.mean(np.isfinite(effort), axis=0) >= MOST) & changing)
         usable = np.all(np.isfinite(effort[:, joints]), axis=1)
         samples = kept.samples.select(usable)
-        return Subject(
+        return EffortData(
             robot=robot,
             samples=samples,
             joints=joints,
             gains=gains[joints],
-            prior=np.array([body.parameters for body in robot.bodies]).ravel(),
+            urdf_parameters=np.array([body.parameters for body in robot.bodies]).ravel(),
             factor=prior_factor(robot),
             shares=np.arange(len(samples)) / max(len(samples), 1),
             recordings=kept.recordings[usable],
-            later=kept.later.select(usable),
+            next_samples=kept.next_samples.select(usable),
         )
 
     @staticmethod
-    def of_all(robot: Robot, samples: Samples) -> Subject:
+    def of_all(robot: Robot, samples: Samples) -> EffortData:
         """Select the joints from samples of one recording, as they are."""
         kept = KeptSamples(samples, samples, np.zeros(len(samples), dtype=np.int64))
-        return Subject.of(robot, kept, np.ones(samples.effort.shape[1]))
+        return EffortData.of(robot, kept, np.ones(samples.effort.shape[1]))
 
-    def part(self, chosen: AnyArray | slice) -> Subject:
+    def select(self, chosen: AnyArray | slice) -> EffortData:
         """Return the subject at some of the samples, chosen by a mask, an index array or a slice."""
         part = replace(
             self,
             samples=self.samples.select(chosen),
             shares=self.shares[chosen],
             recordings=self.recordings[chosen],
-            later=self.later.select(chosen),
+            next_samples=self.next_samples.select(chosen),
         )
         if "regressor" in self.__dict__:
             part.__dict__["regressor"] = self.regressor[chosen]
         if "unknowns" in self.__dict__:
-            part.__dict__["unknowns"] = self.unknowns.part(chosen)
+            part.__dict__["unknowns"] = self.unknowns.select(chosen)
         return part
 
-    def parts(self, *, alternating: bool = False) -> list[Subject]:
+    def split(self, *, alternating: bool = False) -> list[EffortData]:
         """Split into the recordings, or into both halves of the motion of a single one; if ``alternating``, into two
         sets of alternate stretches, which both have something of all of the motion. In each part every effort
         changes."""
         return self._alternating if alternating else self._halves
 
     @cached_property
-    def _halves(self) -> list[Subject]:
+    def _halves(self) -> list[EffortData]:
         moved, several = np.cumsum(self.is_moving), len(np.unique(self.recordings)) > 1
         return self._divided(self.recordings if several else 2 * moved // (moved[-1] + 1))
 
     @cached_property
-    def _alternating(self) -> list[Subject]:
+    def _alternating(self) -> list[EffortData]:
         moved = np.cumsum(self.is_moving)
         return self._divided((STRETCHES * moved // (moved[-1] + 1)) % 2)
 
-    def _divided(self, which: IntArray) -> list[Subject]:
-        parts = [self.part(which == one) for one in np.unique(which)]
+    def _divided(self, which: IntArray) -> list[EffortData]:
+        parts = [self.select(which == one) for one in np.unique(which)]
         return [part for part in parts if 2 * len(part.samples) >= FEWEST and np.all(part.measured_std > 0.0)]
 
-    def with_efforts(self, measured: FloatArray) -> Subject:
+    def with_efforts(self, measured: FloatArray) -> EffortData:
         """Return the same motion with other efforts ``(N, C)``."""
         effort = self.samples.effort.copy()
         effort[:, self.joints] = measured
@@ -132,23 +132,23 @@ class Subject:
         other.__dict__.update({name: self.__dict__[name] for name in _OF_MOTION if name in self.__dict__})
         return other
 
-    def in_units(self, units: FloatArray) -> Subject:
+    def in_units(self, units: FloatArray) -> EffortData:
         """Return the subject with channels in ``units (C,)`` instead of the standard deviations of its efforts."""
         other = self.with_efforts(self.measured)
         other.__dict__["measured_std"] = units
         return other
 
-    def with_samples(self, samples: Samples) -> Subject:
+    def with_samples(self, samples: Samples) -> EffortData:
         """Return the same robot in another motion."""
         return replace(self, samples=samples)
 
-    def at(self, position: FloatArray) -> Subject:
+    def at_positions(self, position: FloatArray) -> EffortData:
         """Return the same motion at other positions ``(N, joints)``, on which friction does not depend."""
         other = self.with_samples(replace(self.samples, position=position))
         other.__dict__["_bases"] = self._bases
         return other
 
-    def under(self, gravity: FloatArray) -> Subject:
+    def under_gravity(self, gravity: FloatArray) -> EffortData:
         """Return the subject under another ``gravity (3,)`` in the base frame [m/s^2]."""
         return replace(self, robot=self.robot.with_gravity(gravity))
 
@@ -173,7 +173,7 @@ class Subject:
         return np.asarray(np.std(self.measured, axis=0))
 
     @property
-    def counts(self) -> BoolArray:
+    def has_large_efforts(self) -> BoolArray:
         """True if efforts vary by a good part of the largest variation in their unit ``(C,)``: those of a wrist are
         often mostly friction and noise."""
         return np.asarray(self.measured_std > LEAST_SIGMA * largest_of_unit(self.measured_std, self.units))
@@ -185,7 +185,7 @@ class Subject:
 
     def _rows(self, gravity: FloatArray, *motion: FloatArray) -> FloatArray:
         rows = self.robot.with_gravity(gravity).joint_effort_rows(*motion)[:, self.joints]
-        return rows.reshape(len(self.samples), len(self.joints), len(self.prior))
+        return rows.reshape(len(self.samples), len(self.joints), len(self.urdf_parameters))
 
     @cached_property
     def predicted(self) -> FloatArray:
@@ -195,7 +195,7 @@ class Subject:
     @property
     def weight(self) -> FloatArray:
         """Gravity efforts of the URDF's links ``(N, C)``."""
-        return np.asarray(self.predicted - self.under(np.zeros(3)).predicted)
+        return np.asarray(self.predicted - self.under_gravity(np.zeros(3)).predicted)
 
     @cached_property
     def friction(self) -> FloatArray:
@@ -220,7 +220,7 @@ class Subject:
             by_errors = (rows @ self.factor[bodies]).transpose(1, 0, 2).reshape(len(self.regressor), -1)
             columns.append(np.column_stack([by_errors, self.friction[:, channel]]))
             errors.append((10 * bodies[:, None] + np.arange(10)).ravel())
-        return Unknowns(len(self.prior), tuple(errors), tuple(columns))
+        return Unknowns(len(self.urdf_parameters), tuple(errors), tuple(columns))
 
     @cached_property
     def tolerated(self) -> FloatArray:
@@ -228,14 +228,14 @@ class Subject:
         return np.asarray(2.0 / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6))
 
     @cached_property
-    def thinned(self) -> Subject:
+    def thinned(self) -> EffortData:
         """The subject at a few samples, enough to rank candidates by their resemblance to the prediction."""
-        return self.part(slice(None, None, -(-len(self.samples) // (2 * FEWEST))))
+        return self.select(slice(None, None, -(-len(self.samples) // (2 * FEWEST))))
 
     @cached_property
-    def moving(self) -> Subject:
+    def moving_part(self) -> EffortData:
         """The subject at the samples at which a joint moves."""
-        return self.part(self.is_moving)
+        return self.select(self.is_moving)
 
     @property
     def is_moving(self) -> BoolArray:
@@ -243,9 +243,9 @@ class Subject:
         return np.asarray(np.any(np.abs(self.samples.velocity[:, self.joints]) > REST_SPEED, axis=1))
 
     @cached_property
-    def flexible(self) -> FlexibleFit:
+    def baseline_fit(self) -> BaselineFit:
         """Fit of links, friction and curves of each joint's motion: the most that these explain."""
-        return FlexibleFit(
+        return BaselineFit(
             measured=self.measured,
             predicted=self.predicted,
             links=self.unknowns,
@@ -279,11 +279,11 @@ class Subject:
 
     def links(self, found: Evidence) -> FloatArray:
         """Links' parameters ``(D,)`` at an evidence."""
-        return self.parameters_at(found.links[: len(self.prior)])
+        return self.parameters_at(found.link_errors[: len(self.urdf_parameters)])
 
     def parameters_at(self, errors: FloatArray) -> FloatArray:
         """Links' parameters ``(D,)`` at errors ``(D,)`` of unit variance."""
-        return self.prior + (self.factor @ errors.reshape(-1, 10, 1)).ravel()
+        return self.urdf_parameters + (self.factor @ errors.reshape(-1, 10, 1)).ravel()
 
     def explained(self, found: Evidence) -> FloatArray:
         """Efforts that are explained ``(N, C)``, friction included."""
@@ -329,7 +329,7 @@ class Subject:
         slopes, correlations = self._compared(found)
         return slopes, np.asarray(correlations > np.sqrt(1.0 - LARGEST_RESIDUAL**2))
 
-    def opposite(self, found: Evidence) -> BoolArray:
+    def has_opposite_sign(self, found: Evidence) -> BoolArray:
         """True if the efforts of the fitted links oppose those of the URDF's ``(C,)``, as if mass were negative. This
         indicates efforts with the wrong sign where links explain a good part of them."""
         return np.asarray(self._compared(found)[1] < -np.sqrt(1.0 - LARGEST_RESIDUAL**2))

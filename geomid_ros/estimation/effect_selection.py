@@ -51,7 +51,7 @@ def choose(
         add_prior: adds prior rows to the problem; called only if there is a choice.
     """
     rows = CoefficientRows(problem)
-    if not (rows.has_choice and rows.enough):
+    if not (rows.has_choice and rows.has_enough_rows):
         return Choice(rows.required_columns)
     problem = add_prior(problem)
     rows = CoefficientRows(problem)
@@ -70,7 +70,7 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
         if larger is None:
             break
         tried.add(rows.mechanism(column))
-        if np.all(larger.possible) and larger.leaves_less(fit, _VISIBLE):
+        if np.all(larger.is_plausible) and larger.leaves_less(fit, _VISIBLE):
             fit = _shaped(larger, joints_of(rows.coefficient(column).place))
     return _without_unbelieved(fit)
 
@@ -104,11 +104,11 @@ def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
 
 def _without_unbelieved(fit: CoefficientFit) -> CoefficientFit:
     """Remove the optional effects that are not significant, the least significant first."""
-    while len(fit.chosen):
-        squares = fit.possible * fit.squares_of(fit.chosen)
+    while len(fit.chosen_columns):
+        squares = fit.is_plausible * fit.squares_of(fit.chosen_columns)
         if np.min(squares) > SIGNIFICANT_STDS**2:
             break
-        fit = fit.rows.fit(np.setdiff1d(fit.all_columns, fit.chosen[np.argmin(squares)]), fit)
+        fit = fit.rows.fit(np.setdiff1d(fit.all_columns, fit.chosen_columns[np.argmin(squares)]), fit)
     return fit
 
 

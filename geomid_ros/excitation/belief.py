@@ -10,21 +10,21 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate_parts import effect_coordinates
-from geomid_ros.estimation.fit import INDEPENDENT
+from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import default_prior_stds
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.model.effects import effect_class
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import ACCELERATION_PER_SPEED, random_states, samples_of
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, frozen
 
 NOISE = 2e-3
 """Default standard deviation of the effort noise, as a fraction of the joint's effort limit."""
-ROWS_PER_SECOND = INDEPENDENT * SignalSettings().cutoff
+ROWS_PER_SECOND = INDEPENDENT_ROWS_PER_PERIOD * SignalSettings().cutoff
 """Independent measurements of each joint per second, after the default low-pass filter."""
 _USUAL_SHARE = 0.02  # typical size of an effect, as a fraction of the joint's effort limit
 _STATES = 200
@@ -68,7 +68,7 @@ class Belief:
         """Expected efforts ``(N, J)`` at ``states (3, N, J)``."""
         return np.asarray((self.rows_of_parameters(states) @ self.posterior.parameters)[:, : states.shape[2]])
 
-    def deviations_of(self, rows: FloatArray) -> FloatArray:
+    def prediction_stds(self, rows: FloatArray) -> FloatArray:
         """Standard deviations ``(N, C)`` of the predictions of ``rows (N, C, D)`` of the tangent coordinates."""
         variances = np.sum((rows @ self.posterior.covariance) * rows, axis=2)
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
@@ -85,7 +85,7 @@ class Belief:
         flat = rows.reshape(-1, rows.shape[-1])
         return np.asarray(ROWS_PER_SECOND * duration / len(rows) * (flat.T @ flat))
 
-    def after(self, information: FloatArray) -> Belief:
+    def updated(self, information: FloatArray) -> Belief:
         """Return the belief after adding ``information (D, D)``; the estimate itself stays."""
         covariance = covariance_of(self.precision + information)
         return replace(self, posterior=replace(self.posterior, covariance=frozen(covariance)))
@@ -94,7 +94,7 @@ class Belief:
         """Square root of the trace of ``weight (D, D)`` times the covariance."""
         return float(np.sqrt(np.sum(weight * self.posterior.covariance)))
 
-    def deviations(self) -> tuple[FloatArray, FloatArray]:
+    def quantity_stds(self) -> tuple[FloatArray, FloatArray]:
         """Standard deviations of the links' quantities ``(links, 10)``, in the order of :data:`QUANTITIES`, and of the
         effects' coefficients ``(effects,)``."""
         manifold, point = self.posterior.manifold, self.posterior.point
@@ -172,7 +172,7 @@ _FRICTION = "dynamics/"  # prefix of the URDF attributes that describe friction
 _WORTH = 0.02  # smallest relative gain that is reported
 
 
-def weight_of(aim: str, knowledge: Belief, others: Sequence[ExcitingMotion]) -> FloatArray:
+def aim_weight(aim: str, belief: Belief, others: Sequence[ExcitingMotion]) -> FloatArray:
     """Weight W ``(D, D)`` of an aim: the criterion is the trace of W times the covariance of the estimate.
 
     - ``prediction`` (I-optimal): mean squared error of the efforts on ``others``, in units of the noise;
@@ -182,18 +182,18 @@ def weight_of(aim: str, knowledge: Belief, others: Sequence[ExcitingMotion]) -> 
 
     Raises InputError for another aim, or an unknown link.
     """
-    size, manifold = knowledge.model.dimension, knowledge.posterior.manifold
+    size, manifold = belief.model.dimension, belief.posterior.manifold
     if aim == PREDICTION:
-        rows_per_second = ROWS_PER_SECOND * len(knowledge.sigmas)
-        information = [knowledge.information(motion) / (rows_per_second * motion.form.duration) for motion in others]
+        rows_per_second = ROWS_PER_SECOND * len(belief.sigmas)
+        information = [belief.information(motion) / (rows_per_second * motion.form.duration) for motion in others]
         return np.asarray(np.mean(information, axis=0))
     weight = np.zeros((size, size))
     if aim == FRICTION:
-        indices = [index for index, friction in enumerate(_are_friction(knowledge), manifold.inertial.stop) if friction]
+        indices = [index for index, friction in enumerate(_are_friction(belief), manifold.inertial.stop) if friction]
         if not indices:
             raise InputError("--for friction: none of the identified effects is friction; add one to 'effects'")
     elif aim == PAYLOAD or aim.startswith(LINK):
-        links = knowledge.posterior.links
+        links = belief.posterior.links
         name = links[-1] if aim == PAYLOAD else aim.removeprefix(LINK)
         if name not in links:
             raise unknown_name("link to identify", name, links)
@@ -268,13 +268,13 @@ def expected_learning(
     ``weight (D, D)``."""
 
     def expected(belief: Belief) -> ExpectedUncertainty:
-        return ExpectedUncertainty(belief.error(weight), *belief.deviations())
+        return ExpectedUncertainty(belief.error(weight), *belief.quantity_stds())
 
     def after(information: FloatArray) -> ExpectedUncertainty:
-        return expected(knowledge.after(information))
+        return expected(knowledge.updated(information))
 
     designed, others = knowledge.information(motion), [knowledge.information(other) for other in randoms]
-    median = sorted(others, key=lambda other: knowledge.after(other).error(weight))[len(others) // 2]
+    median = sorted(others, key=lambda other: knowledge.updated(other).error(weight))[len(others) // 2]
     return DesignComparison(
         before=expected(knowledge),
         designed=after(designed),

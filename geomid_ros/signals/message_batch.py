@@ -39,7 +39,7 @@ class MessageBatch:
         return len(self.stamps)
 
     @property
-    def good(self) -> BoolArray:
+    def is_usable(self) -> BoolArray:
         """True for messages that are usable by themselves ``(N,)``."""
         return without_refusal(self.refusals)
 
@@ -49,9 +49,9 @@ class MessageBatch:
 
     def split(self, place: int) -> tuple[MessageBatch, MessageBatch]:
         """Split into messages before arrival index ``place``, and the others."""
-        return self.divided(int(np.searchsorted(self.order, place)))
+        return self.split_after(int(np.searchsorted(self.order, place)))
 
-    def divided(self, count: int) -> tuple[MessageBatch, MessageBatch]:
+    def split_after(self, count: int) -> tuple[MessageBatch, MessageBatch]:
         """Split into the first ``count`` messages, and the others."""
         if count >= len(self):
             return self, NO_MESSAGES
@@ -124,7 +124,7 @@ def wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:
     return values - sensor.sign * np.array(sensor.offset), refusals
 
 
-def inertial(block: Block) -> tuple[FloatArray, AnyArray]:
+def imu_readings(block: Block) -> tuple[FloatArray, AnyArray]:
     """Angular velocities and specific forces of an IMU ``(N, 6)``, and the reasons why some are unusable."""
     numbers, refusals = block.arrays[0], np.full(len(block.stamps), None)
     values = numbers[:, [13, 14, 15, 25, 26, 27]]

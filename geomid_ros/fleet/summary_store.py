@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.estimation.comparison import compared
+from geomid_ros.estimation.comparison import compare_robots
 from geomid_ros.estimation.identifier import LONGEST_STEP, Memory
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary, SummaryState
@@ -24,11 +24,11 @@ from geomid_ros.files.archive import archived, decoded, encoded, unarchived
 from geomid_ros.files.disk import write_bytes
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.schema import from_document
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags, read_with_locked
-from geomid_ros.session.review import Recorded
+from geomid_ros.session.review import RecordingFacts
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 
@@ -112,7 +112,7 @@ class BagSummary:
 
     fitted: Memory
     held_out: SummaryState
-    recorded: Recorded
+    recorded: RecordingFacts
     locked: tuple[str, ...]
     begin: int
     end: int
@@ -136,7 +136,7 @@ class BagSummary:
         return BagSummary(
             fitted=Memory(rows, self.fitted.rows_rejected + later.fitted.rows_rejected, None, None),
             held_out=self.held_out.plus(later.held_out),
-            recorded=Recorded.together([self.recorded, later.recorded]),
+            recorded=RecordingFacts.combined([self.recorded, later.recorded]),
             locked=self.locked,
             begin=self.begin,
             end=max(self.end, later.end),
@@ -186,7 +186,7 @@ def _read(session: Session, bags: Bags) -> tuple[list[Samples], int, int]:
     return held_out, stamps[0], stamps[-1]
 
 
-def total(summaries: Sequence[BagSummary]) -> BagSummary:
+def sum_of_summaries(summaries: Sequence[BagSummary]) -> BagSummary:
     """Sum of at least one summary, in the order of recording and by a fixed tree, so that it is reproducible."""
     summed = sorted(summaries, key=lambda summary: (summary.begin, summary.end, summary.fitted.summary.rows))
     while len(summed) > 1:
@@ -250,5 +250,5 @@ def changes(before: EstimateFile, after: EstimateFile) -> list[str]:
     Raises:
         InputError: a file has invalid content.
     """
-    comparison = compared(before.values, after.values, _CHANCE)
+    comparison = compare_robots(before.values, after.values, _CHANCE)
     return [*(link.sentence for link in comparison.changed), *(number.sentence for number in comparison.differing)]

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR
-from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LEAST_SIGMA
-from geomid_ros.checks.instants import FEWEST
-from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import EffectEstimate, is_significant
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.controller import Controller
+from geomid_ros.model.controller import PDController
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.model.samples import Samples
@@ -26,7 +26,7 @@ _SAME = 1e-6  # fraction of a range: smaller changes are none
 _FEWEST = 5  # samples in a row; a filter smears twice as many at each end of a stretch
 
 
-def impossible_description(subject: Subject) -> Cause | None:
+def impossible_description(subject: EffortData) -> Cause | None:
     """Find what is wrong with the URDF, whatever was measured: lengths, centres of mass and radii of gyration that do
     not fit one robot, masses that joints with such limits could not support, or bodies denser than steel."""
     robot = subject.robot
@@ -60,17 +60,19 @@ def impossible_description(subject: Subject) -> Cause | None:
 
 
 def _lengths(links: list[str], problem: str, quantity: str, unit: str, right: str) -> Cause:
-    return Cause.of("description", links, said="lengths", what=problem, quantity=quantity, unit=unit, right=right)
+    return Cause.of(
+        "description", links, sentence_key="lengths", what=problem, quantity=quantity, unit=unit, right=right
+    )
 
 
-def _length(subject: Subject) -> float:
+def _length(subject: EffortData) -> float:
     """Sum of all distances from a joint to the next, at zero positions."""
     robot, first = subject.robot, subject.samples.select(slice(1))
     frames = robot.link_frames(replace(first, position=np.zeros_like(first.position)))
     return float(sum(np.linalg.norm(frames[j.child][1] - frames[j.parent][1]) for j in robot.tree.joints))
 
 
-def _weights(subject: Subject) -> FloatArray:
+def _weights(subject: EffortData) -> FloatArray:
     """Largest static efforts of the URDF's links at the recorded positions, within limits ``(joints,)``. Gravity above
     the standard one is reduced to it."""
     samples, gravity, weights = subject.samples, subject.robot.gravity, np.zeros(len(subject.robot.joints))
@@ -87,9 +89,9 @@ def _denser_than_steel(bodies: FloatArray) -> BoolArray:
     return np.asarray(np.array(traces) < np.array(least))
 
 
-def held_efforts(subject: Subject) -> list[Cause]:
+def held_efforts(subject: EffortData) -> list[Cause]:
     """Find efforts that stay the same for a while in which gravity and motion require changes."""
-    causes, rigid, stamps = [], subject.flexible.rigid, subject.samples.stamps
+    causes, rigid, stamps = [], subject.baseline_fit.link_efforts, subject.samples.stamps
     for channel, effort in enumerate(subject.measured.T):
         changes = np.abs(np.diff(rigid[:, channel]))
         same = np.abs(np.diff(effort)) <= _SAME * np.ptp(effort)
@@ -101,7 +103,9 @@ def held_efforts(subject: Subject) -> list[Cause]:
             required = float(np.ptp(rigid[begin : end + 1, channel]))
             if end - begin >= _FEWEST and np.mean(others) < LEAST_SIGMA and required > least:
                 times = {name: (stamps[at] - stamps[0]) * 1e-9 for name, at in (("begin", begin), ("end", end))}
-                causes.append(Cause.of("constant", [subject.names[channel]], said="held", asked=required, **times))
+                causes.append(
+                    Cause.of("constant", [subject.names[channel]], sentence_key="held", asked=required, **times)
+                )
                 break
     return causes
 
@@ -112,7 +116,7 @@ def _step(levels: FloatArray) -> float:
     return float(np.min(gaps[gaps > 2.0 * _SAME * np.ptp(levels)], initial=np.inf)) if np.any(gaps > 0.0) else 0.0
 
 
-def frozen_position(subject: Subject) -> Cause | None:
+def frozen_position(subject: EffortData) -> Cause | None:
     """Find a joint whose position is exactly the same for a while, while others move and efforts do not fit that pose,
     or it stops and goes on as no effort makes it.
 
@@ -141,11 +145,11 @@ def frozen_position(subject: Subject) -> Cause | None:
 
 
 def _residual_rms(
-    subject: Subject, still: BoolArray, around: BoolArray, is_joint: BoolArray
+    subject: EffortData, still: BoolArray, around: BoolArray, is_joint: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """RMS of the efforts' residuals ``(C,)``: of a fit to all samples where a joint is ``still``, or ``around`` that,
     beyond the largest friction for its effort (``is_joint (C,)``) while still; and of a fit to the others, at these."""
-    others = subject.part(~around)
+    others = subject.select(~around)
     rubbing = np.max(np.abs(others.friction_efforts(subject.nominal)), axis=0)
     allowed = still[:, None] * np.where(is_joint, rubbing, 0.0)
     residual = np.abs(subject.measured - subject.explained(subject.nominal)) / subject.measured_std
@@ -156,7 +160,7 @@ def _residual_rms(
     return np.maximum(inside, at_ends), outside
 
 
-def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str]) -> tuple[Finding, ...]:
+def wrong_gains(controller: PDController, samples: Samples, joints: Sequence[str]) -> tuple[RecordingFault, ...]:
     """Report efforts in messages that are those of other gains, if they are those of any.
 
     Args:
@@ -183,10 +187,10 @@ def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str])
     sentence = (
         f"the reported efforts are those of other gains: {'; '.join(wrong.values())}. Correct command.gains (--gains)"
     )
-    return (Finding(cause=Cause(kind="gains", sentence=sentence, places=tuple(wrong))),)
+    return (RecordingFault(cause=Cause(kind="gains", sentence=sentence, places=tuple(wrong))),)
 
 
-def encoder_zeros(controller: Controller, effects: Sequence[EffectEstimate], joints: Sequence[str]) -> list[str]:
+def encoder_zeros(controller: PDController, effects: Sequence[EffectEstimate], joints: Sequence[str]) -> list[str]:
     """Sentence with the apparent encoder zeros between set-points and positions: identified effort offsets over kp."""
     stiffness = dict(zip(joints, controller.kp.tolist(), strict=True))
     significant = [

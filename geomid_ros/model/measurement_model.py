@@ -29,7 +29,7 @@ from geomid_ros.model.channels import (
     wrench_channel,
 )
 from geomid_ros.model.coefficients import EffectPlaces, Mechanism
-from geomid_ros.model.columns import Column, Entries, column_of, entries_of, reached_joints
+from geomid_ros.model.columns import Column, Entries, affected_joints, column_of, entries_of
 from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, SensorEffect, joint_of
 from geomid_ros.model.robot import Robot
@@ -56,7 +56,7 @@ class MeasurementModel:
         links: Sequence[str] | None = None,
         local_effects: Mapping[str, Sequence[IdentifiedEffect]] = MappingProxyType({}),
         candidates: Sequence[IdentifiedEffect] = (),
-        behind_gear: Collection[str] = (),
+        link_side_joints: Collection[str] = (),
         contacts: Sequence[Contact] = (),
         commanded: bool = False,
     ) -> None:
@@ -68,7 +68,8 @@ class MeasurementModel:
             sensors: wrench sensors.
             links: bodies to identify (default all); the others keep the URDF's inertia.
             local_effects: effects that act at one place only, by the name of the place.
-            behind_gear: names of the joints with effort sensors on the link side of the gear, unaffected by the motor.
+            link_side_joints: names of the joints with effort sensors on the link side of the gear, unaffected by the
+                motor.
             candidates: effects that may act at every default place of their kind without a local effect of that name.
             contacts: feet of a floating base; ground forces follow from the efforts of their legs.
             commanded: True if efforts are computed from commands, which may act late.
@@ -102,7 +103,7 @@ class MeasurementModel:
             common=effects,
             local=local_effects,
             candidates=candidates,
-            behind_gear=behind_gear,
+            link_side_joints=link_side_joints,
             commanded=commanded,
         )
         self.coefficients = self.places.coefficients()
@@ -235,7 +236,9 @@ class MeasurementModel:
     def described_coefficients(self) -> FloatArray:
         """Value of each coefficient in the URDF's ``<dynamics>`` ``(coefficients,)``; zero where there is none."""
         described = self.robot.described_dynamics
-        return np.array([described.get((c.place_name, c.effect.own[c.index].urdf), 0.0) for c in self.coefficients])
+        return np.array(
+            [described.get((c.place_name, c.effect.column_parameters[c.index].urdf), 0.0) for c in self.coefficients]
+        )
 
     def manifold(self, scales: FloatArray) -> ParameterManifold:
         """Return the manifold of the parameters, with ``scales`` of the real coefficients."""
@@ -243,7 +246,7 @@ class MeasurementModel:
 
     def _reached(self, place: Place) -> tuple[int, ...]:
         """Return the channels that an effect at a place affects."""
-        return place.channels if isinstance(place, AtSensor) else reached_joints(place, len(self.layout.efforts))
+        return place.channels if isinstance(place, AtSensor) else affected_joints(place, len(self.layout.efforts))
 
     def _columns(self, channel: int, bodies: Sequence[int]) -> IntArray:
         """Return the parameters that a channel depends on: those of ``bodies`` and of the effects that reach it."""

@@ -10,45 +10,46 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import CandidateTest, Decision, contradicted, decide
-from geomid_ros.checks.causes import MODEL, Cause, Finding
+from geomid_ros.checks.candidates import CandidateTest, FaultDecision, contradicted, decide
+from geomid_ros.checks.causes import MODEL, Cause, RecordingFault
 from geomid_ros.checks.changes import changes, lags
+from geomid_ros.checks.definite_faults import frozen_position, held_efforts, impossible_description, wrong_gains
+from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
-from geomid_ros.checks.instants import FEWEST, KeptSamples, RecentMotion, SampleReservoir
 from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet, unnamed_feet
-from geomid_ros.checks.obvious import frozen_position, held_efforts, impossible_description, wrong_gains
-from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples, RecentMotion, SampleReservoir
 from geomid_ros.checks.transforms import transforms
 from geomid_ros.checks.unexplained import badly_explained, hint, rms
-from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
+from geomid_ros.checks.wrench_sensors import WrenchSensorCheck, can_be_judged
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.controller import Controller
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.controller import PDController
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """Excerpt of recordings: ``kept``, a few samples of all of them; ``stretch``, the last samples in motion, None
-    without any; ``standing``, such a stretch with all feet on the ground; ``whole``: True if no positions jump."""
+    """Excerpt of recordings: ``kept``, a few samples of all of them; ``recent_motion``, the last samples in motion,
+    None without any; ``recent_stance``, such a stretch with all feet on the ground; ``continuous``: True if no
+    positions jump."""
 
     kept: KeptSamples
-    stretch: Samples | None
-    standing: Samples | None
-    whole: bool = True
+    recent_motion: Samples | None
+    recent_stance: Samples | None
+    continuous: bool = True
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class CheckResult:
     """Findings on what seems wrong with a recording, and remarks on one that may be right, as sentences."""
 
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[RecordingFault, ...] = ()
     remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class JudgementTask:
+class CheckTask:
     """Inputs of the check of a recording.
 
     Attributes:
@@ -61,41 +62,41 @@ class JudgementTask:
     model: MeasurementModel
     gains: FloatArray
     sensors: Mapping[str, str]
-    controller: Controller | None = None
+    controller: PDController | None = None
 
-    def judge(self, excerpt: Excerpt) -> Judgement:
+    def judge(self, excerpt: Excerpt) -> CheckResult:
         """Check an excerpt of a recording."""
-        judged = self._joints(excerpt.kept, excerpt.whole, excerpt.standing)
+        judged = self._joints(excerpt.kept, excerpt.continuous, excerpt.recent_stance)
         if judged.findings:  # a wrong motion makes the wrench sensors look wrong, too
             return judged
         wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
         return replace(judged, findings=tuple(chain.from_iterable(wrong)))
 
-    def _joints(self, kept: KeptSamples, continuous: bool, standing: Samples | None) -> Judgement:
+    def _joints(self, kept: KeptSamples, continuous: bool, standing: Samples | None) -> CheckResult:
         robot, legs = self.model.robot, self.model.legs
         if self.controller and (gain_findings := wrong_gains(self.controller, kept.samples, robot.joint_names)):
-            return Judgement(gain_findings)
-        if efforts_alone(self.model):
+            return CheckResult(gain_findings)
+        if no_external_forces(self.model):
             return judge_efforts(self.model, kept, self.gains, whole=continuous)
         if legs is None:
-            return Judgement()
+            return CheckResult()
         findings = (*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples))
-        return Judgement(findings or (() if standing is None else gyroscope(legs, standing)))
+        return CheckResult(findings or (() if standing is None else gyroscope(legs, standing)))
 
-    def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> tuple[Finding, ...]:
-        if excerpt.stretch is None or not can_be_judged(sensor):
+    def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> tuple[RecordingFault, ...]:
+        if excerpt.recent_motion is None or not can_be_judged(sensor):
             return ()
         name = self.sensors.get(sensor.topic, sensor.topic)
-        return WrenchSensorCheck(self.model, sensor, name, excerpt.kept.samples, excerpt.stretch).findings()
+        return WrenchSensorCheck(self.model, sensor, name, excerpt.kept.samples, excerpt.recent_motion).findings()
 
 
-def efforts_alone(model: MeasurementModel) -> bool:
+def no_external_forces(model: MeasurementModel) -> bool:
     """True if links and gravity alone determine the efforts, not the surroundings."""
     external = len(model.sensors) > len(model.mounted)
     return bool(model.layout.efforts) and not model.robot.floating_base and not external
 
 
-Judge: TypeAlias = Callable[[JudgementTask, Excerpt], Judgement]
+RunCheck: TypeAlias = Callable[[CheckTask, Excerpt], CheckResult]
 
 
 class RecordingCheck:
@@ -104,14 +105,14 @@ class RecordingCheck:
     One thread may call :meth:`add` while another asks.
     """
 
-    def __init__(self, task: JudgementTask, judge: Judge = JudgementTask.judge) -> None:
+    def __init__(self, task: CheckTask, run_check: RunCheck = CheckTask.judge) -> None:
         """
         Args:
             task: inputs of the check.
-            judge: does the check; in another process, for example.
+            run_check: does the check; in another process, for example.
         """
         self._task = task
-        self._judge = judge
+        self._judge = run_check
         self._instants = SampleReservoir()
         self._stretch, self._standing = RecentMotion(), RecentMotion()
         self._judged_at = 0.0
@@ -135,13 +136,13 @@ class RecordingCheck:
         """True if half of the samples came after the last check: it is done more and more rarely."""
         return len(self._instants) >= FEWEST and self._instants.taken > 2.0 * self._judged_at
 
-    def findings(self, *, whole: bool = True) -> tuple[Finding, ...]:
-        """Return what seems wrong with the recording, without changes during it unless it is ``whole``: where positions
-        jump, another recording begins, perhaps of another robot."""
+    def findings(self, *, continuous: bool = True) -> tuple[RecordingFault, ...]:
+        """Return what seems wrong with the recording, without changes during it unless it is ``continuous``: where
+        positions jump, another recording begins, perhaps of another robot."""
         kept, self._judged_at = self._instants.kept, self._instants.taken
         if kept is None:
             return ()
-        judgement = self._judge(self._task, Excerpt(kept, self._stretch.samples, self._standing.samples, whole))
+        judgement = self._judge(self._task, Excerpt(kept, self._stretch.samples, self._standing.samples, continuous))
         self.remarks = judgement.remarks
         return judgement.findings
 
@@ -161,7 +162,7 @@ class RecordingCheck:
         return [name for name, is_measured in zip(model.robot.joint_names, measured, strict=True) if not is_measured]
 
 
-def judge_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray, *, whole: bool = True) -> Judgement:
+def judge_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray, *, whole: bool = True) -> CheckResult:
     """Check the efforts of a recording.
 
     Args:
@@ -170,52 +171,54 @@ def judge_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray,
         gains: ``(joints,)`` factors on the messages' efforts.
         whole: True if something may change during the recording.
     """
-    subject = Subject.of(model.robot, kept, gains)
+    subject = EffortData.of(model.robot, kept, gains)
     moves = np.std(kept.samples.velocity, axis=0) > REST_SPEED
     constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= MOST)
     constant[subject.joints] = False
     names = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
-    findings = (Finding(cause=Cause.of("constant", names)),) if names else ()
+    findings = (RecordingFault(cause=Cause.of("constant", names)),) if names else ()
     if np.count_nonzero(subject.is_moving) < FEWEST:
-        return Judgement(findings)
+        return CheckResult(findings)
     judged = _judged(subject, whole)
     return replace(judged, findings=(*findings, *judged.findings))
 
 
-def _judged(subject: Subject, continuous: bool) -> Judgement:
+def _judged(subject: EffortData, continuous: bool) -> CheckResult:
     """Check efforts that change."""
     plain = impossible_description(subject) or frozen_position(subject)
     if plain is not None:
-        return Judgement((Finding(cause=plain),))
+        return CheckResult((RecordingFault(cause=plain),))
     remarks: tuple[str, ...] = (MODEL,) if is_model(subject) else ()
-    held = tuple(Finding(cause=cause) for cause in held_efforts(subject))
+    held = tuple(RecordingFault(cause=cause) for cause in held_efforts(subject))
     decision = _decided(subject, continuous)
-    if decision.finding is None and decision.level is not None:
-        remarks += (decision.level.sentence,)
-        subject = subject.under(np.array(decision.level.settings["gravity"]))
+    if decision.finding is None and decision.remarked_cause is not None:
+        remarks += (decision.remarked_cause.sentence,)
+        subject = subject.under_gravity(np.array(decision.remarked_cause.settings["gravity"]))
         decision = _decided(subject, continuous)
     named = held if decision.finding is None else (*held, decision.finding)
-    findings = named or _unexplained(subject) or contradicted(decision.doubted, decision.count)
-    if not findings and decision.doubted:
-        sentence = decision.doubted[0].cause.sentence
+    findings = named or _unexplained(subject) or contradicted(decision.unconfirmed, decision.count)
+    if not findings and decision.unconfirmed:
+        sentence = decision.unconfirmed[0].cause.sentence
         remarks += (f"in a part of the recording, or at some joints, only: {sentence}",)
-    return Judgement(findings, remarks)
+    return CheckResult(findings, remarks)
 
 
-def _decided(subject: Subject, continuous: bool) -> Decision:
+def _decided(subject: EffortData, continuous: bool) -> FaultDecision:
     """Decide which cause explains the efforts better than a correct recording."""
     throughout, count = transforms(subject)
     timed = [*(changes(subject) if continuous else ()), *lags(subject)]
     tried = [CandidateTest.of(candidate, subject) for candidate in (*throughout, *timed)]
     decision = decide(tried, count + len(timed), subject.nominal)
     if np.all(decision.sigmas > LARGEST_RESIDUAL):
-        return replace(decision, finding=Finding(cause=Cause.of("unrelated", subject.names)), level=None)
+        return replace(
+            decision, finding=RecordingFault(cause=Cause.of("unrelated", subject.names)), remarked_cause=None
+        )
     return decision
 
 
-def _unexplained(subject: Subject) -> tuple[Finding, ...]:
+def _unexplained(subject: EffortData) -> tuple[RecordingFault, ...]:
     """Report joints whose efforts neither links and friction nor curves of their motion explain, for any reason."""
-    curved = subject.flexible.nominal.sigmas > LARGEST_RESIDUAL
+    curved = subject.baseline_fit.nominal.sigmas > LARGEST_RESIDUAL
     residual = np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan)
     channels = [*zip(subject.names, subject.units, strict=True)]
     return badly_explained(
@@ -223,7 +226,7 @@ def _unexplained(subject: Subject) -> tuple[Finding, ...]:
     )
 
 
-def is_model(subject: Subject) -> bool:
+def is_model(subject: EffortData) -> bool:
     """True if efforts are the prediction of the URDF, without friction or errors."""
     residual_rms = np.sqrt(np.mean((subject.measured - subject.predicted) ** 2, axis=0))
     return bool(np.all(residual_rms < MOST * LEAST_SIGMA * subject.measured_std))

@@ -21,7 +21,7 @@ Part: TypeAlias = tuple[str, ...]
 """Joints of one publisher, in the robot's order."""
 
 
-class JointParts:
+class JointStateMerger:
     """Merges messages of several publishers, each with some of the joints, at the stamps of the fastest.
 
     The others' numbers are interpolated linearly between two messages. These must be no further apart than ``max_gap``

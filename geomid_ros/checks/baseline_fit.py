@@ -20,28 +20,28 @@ _SLOW = 0.05  # fraction of a joint's largest speed, below which stiction is arb
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Gain:
+class EvidenceGain:
     """Improvement by additional columns.
 
     Attributes:
         per_instant: gain of log evidence per sample [nats].
         ratios: ``(C,)`` residual over that without the columns.
         coefficients, deviations: ``(k,)`` of the columns.
-        rigid: ``(N, C)`` efforts of the links given these columns.
+        link_efforts: ``(N, C)`` efforts of the links given these columns.
     """
 
     per_instant: float
     ratios: FloatArray
     coefficients: FloatArray
     deviations: FloatArray
-    rigid: FloatArray
+    link_efforts: FloatArray
 
-    def beyond(self, other: Gain) -> Gain:
+    def beyond(self, other: EvidenceGain) -> EvidenceGain:
         """Return the improvement by these columns over that by others."""
         return replace(self, per_instant=self.per_instant - other.per_instant, ratios=self.ratios / other.ratios)
 
 
-class FlexibleFit:
+class BaselineFit:
     """Links, friction and curves fitted to the efforts of C joints at the samples at which each of them moves."""
 
     def __init__(
@@ -58,7 +58,7 @@ class FlexibleFit:
         """
         Args:
             measured, predicted: ``(N, C)`` the efforts, and those of the URDF's links.
-            links: columns of the links' errors.
+            link_errors: columns of the links' errors.
             friction: ``(N, C, 5)`` columns of friction.
             tolerated: ``(C, 5)`` prior standard deviations of friction's coefficients.
             position, velocity: ``(N, C)`` of the joints.
@@ -74,13 +74,15 @@ class FlexibleFit:
         self._unknowns = links.with_separate(self._own)
         self.nominal = self._evidence(self._unknowns)
         """Evidence without further columns."""
-        self.links = self.nominal.links
+        self.link_errors = self.nominal.link_errors
         """Fitted errors of the links ``(r,)``."""
-        self.rigid = self._rigid(self.links)
+        self.link_efforts = self._rigid(self.link_errors)
         """Efforts of the fitted links ``(N, C)``."""
         self._linearise()
 
-    def promises(self, columns: FloatArray, begins: IntArray | None = None, *, before: bool = False) -> FloatArray:
+    def predicted_gains(
+        self, columns: FloatArray, begins: IntArray | None = None, *, before: bool = False
+    ) -> FloatArray:
         """Return approximately the least value of :meth:`gain`, at the noise without the columns [nats per sample].
 
         Args:
@@ -118,15 +120,15 @@ class FlexibleFit:
         quadratic = float(np.sum((axes.T @ (target[0] - self._explained @ coupling)) ** 2 / precisions))
         return 0.5 * (quadratic - float(np.sum(np.log(precisions)))) / self.instants
 
-    def gain(self, columns: FloatArray) -> Gain:
-        """Fit additional columns, in the form of :meth:`promises`."""
+    def gain(self, columns: FloatArray) -> EvidenceGain:
+        """Fit additional columns, in the form of :meth:`predicted_gains`."""
         fitted, rank = self._evidence(self._unknowns.with_errors(columns)), self._unknowns.links
-        return Gain(
-            per_instant=(fitted.log - self.nominal.log) / self.instants,
+        return EvidenceGain(
+            per_instant=(fitted.log_evidence - self.nominal.log_evidence) / self.instants,
             ratios=fitted.sigmas / self.nominal.sigmas,
-            coefficients=fitted.links[rank:],
+            coefficients=fitted.link_errors[rank:],
             deviations=fitted.deviations()[rank:],
-            rigid=self._rigid(fitted.links[:rank]),
+            link_efforts=self._rigid(fitted.link_errors[:rank]),
         )
 
     def _rigid(self, links: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import String
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.excitation.watch import JointState
+from geomid_ros.excitation.motion_monitor import JointState
 from geomid_ros.live.inbox import MOST_AT_ONCE
 from geomid_ros.ros.outputs import latched
 from geomid_ros.signals.messages import JOINT_STATES, parse
@@ -141,7 +141,7 @@ class RobotMonitor:
         return (time.monotonic() - begin) / max(count, 1)
 
     @contextmanager
-    def recorded(self, path: Path, urdf: str) -> Iterator[Recorder]:
+    def record(self, path: Path, urdf: str) -> Iterator[Recorder]:
         """Record joint states and all wrenches into a new bag, with the ``urdf`` as description."""
         topics = self._node.get_topic_names_and_types()
         wrenches = {topic: _WRENCH for topic, kinds in topics if kinds == [_WRENCH]}

@@ -14,11 +14,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.signals.arrived import NO_MESSAGES, MessageBatch
 from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.ledger import Reason
+from geomid_ros.signals.message_batch import NO_MESSAGES, MessageBatch
 from geomid_ros.signals.messages import JOINT_STATES
-from geomid_ros.signals.settings import PATIENCE
+from geomid_ros.signals.settings import MESSAGES_UNTIL_DECISION
 from geomid_ros.types import FloatArray, IntArray
 
 NOT_LATER = Reason("stamp not later than the one before", "repeated")
@@ -34,7 +34,7 @@ Source: TypeAlias = tuple[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
-class Answer:
+class GateDecision:
     """Decision on the first ``count`` suspicious messages: ``refused`` for a reason, or real. ``noted`` is a remark on
     the first; if it ``begins`` a new segment, nothing is compared across it."""
 
@@ -63,7 +63,7 @@ class Gate:
         self._decided = 0  # stamp of the last decided message that is good by itself
         self._stamp = 0  # of the last message that passed
 
-    def decide(self, new: MessageBatch, newest: int) -> tuple[MessageBatch, dict[int, Answer]]:
+    def decide(self, new: MessageBatch, newest: int) -> tuple[MessageBatch, dict[int, GateDecision]]:
         """Take messages, and decide on those that can be decided.
 
         Args:
@@ -73,8 +73,8 @@ class Gate:
         Returns:
             Decided messages, refused ones with the reason; and remarks by the arrival index of their message.
         """
-        arrived, notes = MessageBatch.joined([self.waiting, new]), dict[int, Answer]()
-        good = np.flatnonzero(arrived.good)
+        arrived, notes = MessageBatch.joined([self.waiting, new]), dict[int, GateDecision]()
+        good = np.flatnonzero(arrived.is_usable)
         repeated = steps(arrived.stamps[good], self._decided) == 0
         arrived.refusals[good[repeated]] = NOT_LATER
         places = good[~repeated]
@@ -82,7 +82,7 @@ class Gate:
         stamps, numbers, order = plain.stamps, plain.numbers, plain.order
         place = self._pass_plain(stamps, numbers)
         while place < len(places):
-            last = order[place] + PATIENCE
+            last = order[place] + MESSAGES_UNTIL_DECISION
             window = slice(place, place + int(np.searchsorted(order[place:], last, side="right")))
             answer = self._answer(stamps[window], numbers[window], final=newest >= last)
             if answer is None:
@@ -100,7 +100,7 @@ class Gate:
         end = int(places[place]) if place < len(places) else len(arrived)
         decided_indices = good[good < end]
         self._decided = int(arrived.stamps[decided_indices[-1]]) if len(decided_indices) else self._decided
-        decided, self.waiting = arrived.divided(end)
+        decided, self.waiting = arrived.split_after(end)
         return decided, notes
 
     def begin_anew(self, decided: MessageBatch) -> MessageBatch:
@@ -129,15 +129,15 @@ class Gate:
     def _compare_anew(self) -> None:
         """Restart comparisons: the next message is not compared with earlier ones."""
 
-    def _answer(self, stamps: IntArray, numbers: FloatArray, *, final: bool) -> Answer | None:  # noqa: ARG002
+    def _answer(self, stamps: IntArray, numbers: FloatArray, *, final: bool) -> GateDecision | None:  # noqa: ARG002
         """Decide on the first of these messages, which does not continue the one before. Return None if more messages
         are needed and this call is not ``final``."""
         first, *later = stamps.tolist()
         back = first <= self._stamp
         if self._stamp - self._max_gap <= first <= self._stamp:
-            return Answer(refused=NOT_LATER)
-        wrong = Answer(refused=TOO_OLD if back else FROM_THE_FUTURE)
-        real = Answer(noted=SET_BACK, begins=True) if back else Answer(noted=PAUSE)
+            return GateDecision(refused=NOT_LATER)
+        wrong = GateDecision(refused=TOO_OLD if back else FROM_THE_FUTURE)
+        real = GateDecision(noted=SET_BACK, begins=True) if back else GateDecision(noted=PAUSE)
         last, count = first, 1
         for stamp in later:
             if (stamp >= self._stamp - self._max_gap) if back else (stamp < first - self._max_gap):
@@ -162,10 +162,10 @@ class ReorderBuffer:
         self._new_gate, self._note = new_gate, note
         self._gates: dict[Source, Gate] = {}
         self._decided: dict[Source, MessageBatch] = {}  # decided messages that wait behind undecided ones
-        self._notes: dict[int, tuple[Source, Answer]] = {}  # remarks, by the arrival index of their message
+        self._notes: dict[int, tuple[Source, GateDecision]] = {}  # remarks, by the arrival index of their message
 
     @property
-    def held(self) -> Counter[str]:
+    def waiting_counts(self) -> Counter[str]:
         """Number of waiting messages by topic."""
         counts = Counter[str]()
         for source, gate in self._gates.items():

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from geomid_ros.estimation import choice
+from geomid_ros.estimation import effect_selection
 from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import WarmStart
@@ -17,7 +17,7 @@ from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, identifiable
 from geomid_ros.model.effects.friction import SMOOTHINGS, CoulombFriction
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.types import FloatArray, IntArray
@@ -188,8 +188,8 @@ def beside(case: Case, parameters: FloatArray) -> Estimate:
 
 def test_what_was_chosen_before_is_not_searched_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
     case, searches = planted("arm3", 1, "spring"), []
-    search = choice._best
-    monkeypatch.setattr(choice, "_best", lambda *of: searches.append(len(of[1])) or search(*of))
+    search = effect_selection._best
+    monkeypatch.setattr(effect_selection, "_best", lambda *of: searches.append(len(of[1])) or search(*of))
     found = solved(case)
     before = searches.copy()
     searches.clear()
@@ -282,9 +282,9 @@ def test_all_rows_have_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append((begun.rows.at_rest, begun.all_columns.tolist(), found))
         return found
 
-    original = choice._grown
-    monkeypatch.setattr(choice, "_grown", recorded)
-    result = choice.choose(own)
+    original = effect_selection._grown
+    monkeypatch.setattr(effect_selection, "_grown", recorded)
+    result = effect_selection.choose(own)
     (first, _, moving), (second, begun, every) = seen
     assert (first, second) == (False, True)
     assert begun == moving.all_columns.tolist()

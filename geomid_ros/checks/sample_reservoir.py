@@ -26,11 +26,11 @@ def elapsed(stamps: IntArray, place: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class KeptSamples:
-    """Kept ``samples``; the next sample after each, ``later``, or itself if none followed soon; and the index of each
-    one's recording, ``recordings (N,)``."""
+    """Kept ``samples``; the next sample after each, ``next_samples``, or itself if none followed soon; and the index of
+    each one's recording, ``recordings (N,)``."""
 
     samples: Samples
-    later: Samples
+    next_samples: Samples
     recordings: IntArray
 
 
