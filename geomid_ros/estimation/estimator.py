@@ -227,7 +227,9 @@ def _insignificant_errors(model: MeasurementModel, result: Estimate, columns: In
     """Columns of the sensor errors that are not significant."""
     first = model.dimension - len(model.coefficients)
     effect_columns = columns[columns >= first]
-    is_error = np.array([model.coefficients[column - first].effect.of_sensor for column in effect_columns], dtype=bool)
+    is_error = np.array(
+        [model.coefficients[column - first].effect.is_sensor_error for column in effect_columns], dtype=bool
+    )
     return np.asarray(effect_columns[is_error & (_sizes(result) < _TAKEN)])
 
 

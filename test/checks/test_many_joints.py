@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from estimation.arms import motion, samples
 
+from geomid_ros.checks import baseline_fit, effort_data
 from geomid_ros.checks.recording_check import judge_efforts
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples
 from geomid_ros.model.measurement_model import MeasurementModel

@@ -13,7 +13,7 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import result as result_module
 from geomid_ros.gap.candidates import EffectsFit
 from geomid_ros.gap.evidence.records import Records
-from geomid_ros.gap.judgement import written as written_module
+from geomid_ros.gap.judgement import confirmed_changes as written_module
 from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.geometry.definite import Packed

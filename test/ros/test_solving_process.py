@@ -16,6 +16,7 @@ import pytest
 from files.recordings import BAGS
 from signals.feeding import completed
 
+from geomid_ros.checks import recording_check
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask, Identifier
