@@ -35,29 +35,41 @@ class Station:
 
 
 STATIONS = (
-    Station("ros.inputs", ("takes and counts what", "topics bring"), 0, 0, "node", ("live.inbox",)),
+    Station("ros.inputs", ("receives and counts", "messages"), 0, 0, "node", ("live.inbox",)),
     Station("live.inbox", ("a queue: no message", "waits for a solve"), 1, 0, "node", ("live.worker",)),
     Station("live.worker", ("a thread that turns", "messages into rows"), 2, 0, "node", ("signals.decoding",)),
-    Station("files.bags.bag", ("reads mcap and db3,", "torn ones too"), 0, 1, "bag", ("session.recordings",)),
-    Station("session.recordings", ("which part is fitted,", "which is held out"), 1, 1, "bag", ("signals.decoding",)),
+    Station("files.bags.bag", ("reads mcap and db3,", "also truncated files"), 0, 1, "bag", ("session.recordings",)),
+    Station("session.recordings", ("splits bags: training", "and held-out parts"), 1, 1, "bag", ("signals.decoding",)),
     Station("signals.decoding", ("bytes to blocks of", "numbers"), 2, 1, goes_to=("signals.pipeline",)),
     Station(
-        "signals.pipeline", ("what may pass; the rest", "is counted, with reasons"), 2, 2, goes_to=("signals.sampler",)
+        "signals.pipeline", ("admits messages, counts", "the refused by reason"), 2, 2, goes_to=("signals.sampler",)
     ),
     Station("signals.sampler", ("aligns, filters,", "differentiates"), 1, 2, goes_to=("model.samples",)),
     Station(
         "model.samples",
-        ("motion and efforts at", "common instants"),
+        ("motion and efforts at", "common times"),
         0,
         2,
-        goes_to=("checks.check", "model.measurement"),
+        goes_to=("checks.recording_check", "model.measurement_model"),
     ),
-    Station("checks.check", ("is this recording this", "robot's?"), 0, 3, goes_to=("checks.verdict",)),
+    Station("checks.recording_check", ("is this recording this", "robot's?"), 0, 3, goes_to=("checks.verdict",)),
     Station(
-        "model.measurement", ("rows: each channel is", "linear in all unknowns"), 1, 3, goes_to=("estimation.summary",)
+        "model.measurement_model",
+        ("rows: each channel is", "linear in all unknowns"),
+        1,
+        3,
+        goes_to=("estimation.summary",),
     ),
-    Station("estimation.summary", ("triangular factors:", "bounded memory"), 2, 3, goes_to=("estimation.choice",)),
-    Station("estimation.choice", ("which effects the rows", "ask for"), 2, 4, goes_to=("estimation.fit",)),
+    Station(
+        "estimation.summary", ("triangular factors:", "bounded memory"), 2, 3, goes_to=("estimation.effect_selection",)
+    ),
+    Station(
+        "estimation.effect_selection",
+        ("selects the effects", "that the rows support"),
+        2,
+        4,
+        goes_to=("estimation.fit",),
+    ),
     Station("estimation.fit", ("bodies that can exist,", "near what was known"), 1, 4, goes_to=("checks.verdict",)),
     Station(
         "checks.verdict",

@@ -223,7 +223,7 @@ def test_a_link_may_have_been_changed_beside_names_and_in_the_place_of_a_payload
     def analysed(prior: EffectsPrior, *found: Candidate) -> analysis.Analysis:
         search = Selection(design, prior, [PAYLOAD, VISCOUS])
         unused: Any = None
-        fits = {"bare": search.fit([]), "effects": search.fit(found)}
+        fits = {"inertias_only": search.fit([]), "effects": search.fit(found)}
         return analysis.Analysis(problem=unused, search=search, supports={}, floor=np.ones(2), **fits)
 
     beside = [c for c in names if c is not PAYLOAD]

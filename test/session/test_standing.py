@@ -20,7 +20,7 @@ KEPT = KnownRemainder(
 
 def session(folder: Path, known: object = True, channel: str = "effort") -> Any:
     return SimpleNamespace(
-        loaded=SimpleNamespace(source=str(folder / "estimate.json"), known=known),
+        loaded=SimpleNamespace(source=str(folder / "estimate.json"), links_information=known),
         robot=SimpleNamespace(joint_names=["shoulder"]),
         model=SimpleNamespace(channels=[SimpleNamespace(name=channel)]),
         review=SimpleNamespace(settled=[]),
@@ -75,7 +75,11 @@ def test_of_a_robot_with_an_imu_the_total_mass_is_known_no_better_than_gravity()
     inertias = rng.uniform(1.0, 2.0, size=20)
     own: Any = SimpleNamespace(
         loaded=SimpleNamespace(
-            known=known, information=lambda _: known, deviations=lambda _: None, posterior=None, source="estimate.json"
+            links_information=known,
+            information=lambda _: known,
+            coefficient_stds=lambda _: None,
+            posterior=None,
+            source="estimate.json",
         ),
         prior=np.append(inertias, 7.0),
         model=SimpleNamespace(body_names=[]),
