@@ -304,7 +304,7 @@ class FileTest:
 
 
 _RECORD = (
-    "the full estimate does, too: the fit does not generalise to this motion. Record more motion of this joint, in "
+    "so does the full estimate: the fit does not generalise to this motion. Record more motion of this joint, in "
     "more poses of the others, and check that there was no payload or contact"
 )
 _ADD = "add these to its predictions, or record more motion: they may be due to masses instead"
