@@ -131,7 +131,8 @@ def test_what_has_changed_is_told(first: tuple[Path, str], bags: Path, tmp_path:
     printed = done("fleet", bags, "--urdf", URDF, "--scheduler", NOBODY, "--out", out, "--since", tmp_path)
     (line,) = [line for line in printed.splitlines() if line.strip().startswith("ada ")]
     name, mass = document["links"][2]["name"], read(out / "ada")["links"][2]["mass"]
-    assert f"mass of {name} changed by {-mass:+.3g} ±" in line
+    assert f"mass of {name} changed by" in line
+    assert f"{-mass:+.3g} ±" in printed
     assert f"{name}: mass {2 * mass:.3g} → {mass:.3g} kg" in printed
     (line,) = [line for line in printed.splitlines() if line.strip().startswith("bob ")]
     assert "→" not in line

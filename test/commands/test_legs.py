@@ -95,7 +95,7 @@ def test_a_foot_that_no_contact_names_is_found(folder: Path) -> None:
     """By what its leg bears; and legs that are not lifted in what is fitted are told."""
     found = identified(folder / "walk", folder / "go2.urdf", contacts=CONTACTS[:3], alike="none")
     assert found.verdict.word == DOUBTFUL
-    (sentence,) = (reason for reason in found.verdict.reasons if "no contact names" in reason)
+    (sentence,) = (reason for reason in found.verdict.reasons if "without a declared contact" in reason)
     share = float(re.findall(r"(\d+) % at 'RR_foot'", sentence)[0])
     assert 10.0 < share < 50.0
     (standing,) = (each for each in found.warnings if "never left the ground" in each)
