@@ -84,7 +84,7 @@ _MEANINGS = {
         "distance from prior": "geodesic distance; 0.1 is about 10 % in one direction",
         "min eigenvalue ratio": "smallest eigenvalue relative to the prior; 0 is the boundary of physical consistency",
         "merged": "links fixed to it, included in its numbers",
-        "cannot be told": "quantities that are not identified: 95 % intervals beyond 20 %, or the prior's doing",
+        "not identifiable": "quantities that are not identified: 95 % intervals beyond 20 %, or mostly the prior",
     },
 }
 _SAID_WITH_X = {f"com {axis}{what}" for axis in "yz" for what in ("", " std")}

@@ -27,7 +27,7 @@ from geomid_ros.options import takes
 from geomid_ros.report.result_pages import ChannelErrors, ComparisonPage, write_comparison_page
 from geomid_ros.session.options import PathLike, paths
 
-_OWN = "what each held out of its own recording"
+_OWN = "the held-out data of its own recording"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,7 +104,7 @@ def compare(options: CompareOptions) -> Comparison:
     sides = [EstimateFile.read(file) if file.suffix == ".json" else read_model(file) for file in files]
     results = [side for side in sides if isinstance(side, EstimateFile)]
     if not results:
-        raise InputError(f"{first}, {second}: neither is an estimate.json, so that nothing says how sure a number is")
+        raise InputError(f"{first}, {second}: neither is an estimate.json; at least one must have standard deviations")
     values = [side.values if isinstance(side, EstimateFile) else _urdf_values(side, results[0]) for side in sides]
     _check_same_robot(sides, values)
     doubts = [f"{result.source}: {remark}" for result in results for remark in result.judgement.remarks]
@@ -183,8 +183,8 @@ def _notes_on(results: Sequence[EstimateFile], *, own_data: bool) -> list[str]:
     exact = [r.source for r in results if not any(link.has_std for link in r.values.links.values())]
     fitted = [r.source for r in results if own_data and r.rms.train and not r.rms.held_out]
     return [
-        *(f"{path} says no standard deviations: its links count as exact" for path in exact),
-        *(f"{path} held nothing out: its errors are of the data that were fitted" for path in fitted),
+        *(f"{path} has no standard deviations; its links are treated as exact" for path in exact),
+        *(f"{path} has no held-out data; its errors are training errors" for path in fitted),
     ]
 
 

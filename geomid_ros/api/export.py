@@ -59,7 +59,7 @@ def export(options: ExportOptions) -> Exported:
     reference = None if options.without is None else read_model(Path(options.without))
     doubts = tuple(each.warning for each in (own, reference) if each is not None and each.warning)
     if doubts and not options.force:
-        raise InputError(f"{doubts[0]}; mend that, or export it with --force")
+        raise InputError(f"{doubts[0]}; fix this, or export anyway with --force")
     if tool in CONTROLLERS:
         flange = options.frame or _flange(own, CONTROLLERS[tool].flange)
         return Exported(CONTROLLERS[tool].commands(_payload(own, flange, options.links, reference)), (), doubts)
@@ -84,7 +84,7 @@ def _check(options: ExportOptions) -> None:
     if options.links is not None and options.without is not None:
         raise InputError("links and without exclude each other: a payload is either these links or a difference")
     if tool not in CONTROLLERS and not options.frame and is_payload:
-        raise InputError("frame is missing: in the axes of which link is the payload wanted?")
+        raise InputError("frame is missing: name the link in whose axes the payload is expressed")
 
 
 def _whole(model: ExportModel, options: ExportOptions) -> DescriptionFiles:

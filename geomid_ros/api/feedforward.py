@@ -94,7 +94,7 @@ def _read(path: Path, topic: str | None) -> Trajectory:
     if path.suffix not in _YAML:
         return trajectory_in_bag(path, topic)
     if topic is not None:
-        raise InputError(f"{path}: is no rosbag; --topic names a topic of one")
+        raise InputError(f"{path}: not a rosbag, but --topic is given")
     return read_trajectory(path)
 
 
@@ -115,11 +115,11 @@ def _check_model(options: DescriptionOptions, file: EstimateFile) -> None:
     """Refuse a model with a floating base, or without its robot description. Raises InputError."""
     if any(channel.channel.startswith("base/") for channel in file.channels):
         raise InputError(
-            f"{file.source}: its base floats: efforts of legs depend on the forces of the ground, which no trajectory "
-            "says"
+            f"{file.source}: floating base: leg efforts depend on ground contact forces, which a trajectory does not "
+            "contain"
         )
     if options.urdf is None and not identified_urdf_path(file.source).is_file():
-        raise InputError(f"{file.source}: there is no identified.urdf beside it; add --urdf ROBOT.urdf")
+        raise InputError(f"{file.source}: identified.urdf is missing in the same folder; add --urdf ROBOT.urdf")
 
 
 def _check_limits(trajectory: Trajectory, limits: FloatArray, source: str) -> None:

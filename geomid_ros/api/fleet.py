@@ -70,7 +70,7 @@ def identify_fleet(options: FleetOptions) -> FleetIdentification:
     fleet = Fleet(plan, every, Store(options.keep or str((folder / _KEPT).absolute())))
     since = None if options.since is None else Path(options.since)
     if since is not None and not since.is_dir():
-        raise InputError(f"since: {since} is no folder; name that of an earlier run, or omit it")
+        raise InputError(f"since: {since} is not a folder; give the folder of an earlier run, or omit it")
     robots = fleet.work(partial(Cluster, options.scheduler), options.progress)
     files = [folder / "fleet.html"]
     lines, evidence = {}, {}

@@ -207,8 +207,8 @@ def find_gap(options: GapOptions) -> Gap:
     session.review.check_description()
     if session.loaded.source and not session.loaded.fitted_models:
         session.review.settled.append(
-            f"{session.loaded.source}: has no fits for description formats: what is written has the estimate's own "
-            "inertias; identify again from bags to have them"
+            f"{session.loaded.source}: has no fits for description formats: written descriptions have the inertias of "
+            "the estimate; identify again from bags to fit them"
         )
     reader = GapReader(session, recorded, options.progress)
     sharp = reader.high_cutoff_samples()

@@ -323,7 +323,7 @@ class Identification:
         try:
             return remainder_of(gap_session(urdf, written, source), self.bags, progress)
         except (GeomidError, np.linalg.LinAlgError) as error:
-            self.session.review.settled.append(f"{POSTERIOR}: without what the model leaves unexplained: {error}")
+            self.session.review.settled.append(f"{POSTERIOR} does not contain the remainder of the model: {error}")
             return None
 
 

@@ -27,7 +27,7 @@ class RobotOptions(DescriptionOptions):
         gains: gains of motors without torque sensors, whose efforts are those of --command, or a parameter file of a
             joint_trajectory_controller.
         imu: IMU on a moving base, in place of its pose.
-        contacts: feet on the ground whose legs' efforts tell their forces, FRAME or FRAME:RADIUS [m].
+        contacts: feet on the ground, FRAME or FRAME:RADIUS [m]; contact forces are computed from leg efforts.
         floating_base: the base moves; its pose is read from the odometry topic.
         odom_topic: topic of the base pose.
         progress: called with the current stage and its completed share, 0 to 1.
@@ -111,7 +111,7 @@ class PayloadBags(Options):
 
     Attributes:
         empty: rosbag folders, or .mcap and .db3 files, without the payload; or the estimate.json of an earlier
-            identification without it, with the posterior.npz that was written beside it.
+            identification without it, with its posterior.npz in the same folder.
         loaded: rosbag folders, or .mcap and .db3 files, with it.
     """
 
@@ -220,7 +220,7 @@ class FillOptions(DescriptionOptions):
     """How exact the efforts of a trajectory are.
 
     Attributes:
-        urdf: robot description, URDF or .xacro. [default: identified.urdf beside the model]
+        urdf: robot description, URDF or .xacro. [default: identified.urdf in the folder of the model]
         tolerance: largest error of linearly interpolated efforts, as a share of the joint's largest effort.
         force: take a model whose verdict is not 'usable', too.
     """
@@ -259,7 +259,7 @@ class ExportOptions(PackageOptions):
     """A payload to export, or how.
 
     Attributes:
-        model: an estimate.json with its identified.urdf beside it, or a URDF.
+        model: an estimate.json with its identified.urdf in the same folder, or a URDF.
         tool: who is to read it: ur, franka, urdf, moveit, isaac, gazebo, drake or mujoco.
         frame: the flange: the payload is this link and all links after it, in its axes. [default: for ur and franka
             the one link whose name ends with tool0 or link8]
@@ -285,7 +285,7 @@ class SampleOptions(PackageOptions):
     """Which robots to draw.
 
     Attributes:
-        model: an estimate.json with the identified.urdf and the posterior.npz of the same run beside it.
+        model: an estimate.json with the identified.urdf and the posterior.npz of the same run in its folder.
         tool: who is to read them: urdf, moveit, isaac, gazebo, drake, mujoco or json.
         count: number of robots.
         into: for mujoco: write this file with each robot's numbers for the bodies and joints of the same names; the

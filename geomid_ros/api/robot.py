@@ -97,7 +97,7 @@ def description(options: DescriptionOptions, bags: Sequence[Path], model: PathLi
 def topics(options: RobotOptions) -> Topics:
     """Return the topics to read recordings from."""
     if options.imu is not None and options.odom_topic != ODOM:
-        raise InputError("--odom-topic beside --imu: an IMU is in place of the base's pose; leave one of them out")
+        raise InputError("--odom-topic and --imu exclude each other: the IMU replaces the base pose; remove one")
     imu = IMU if options.imu is None else Imu.parse(options.imu).topic
     return Topics(options.joint_topic, options.odom_topic, imu, options.command or COMMANDS)
 

@@ -215,15 +215,15 @@ class Requirement:
         chosen = [self.place] if self.place else [place for place in places if place != TOTAL]
         outcomes = [self._outcome(place, places[place]) for place in chosen]
         if all(outcome.passed is None for outcome in outcomes):
-            hint = f" or the model says no {self.reference}" if self.reference else ""
-            raise InputError(f"requirement '{self.text}': nothing to judge, no {self.quantity} is measured{hint}")
+            hint = f" or the model has no {self.reference}" if self.reference else ""
+            raise InputError(f"requirement '{self.text}': nothing to check, no {self.quantity} is measured{hint}")
         return outcomes
 
     def _outcome(self, place: str, numbers: Mapping[str, float]) -> Outcome:
         """Check one place. Raises InputError if the bound at a place that the user names is not known."""
         value, bound = numbers["value"], self.factor * (numbers[self.reference] if self.reference else 1.0)
         if self.place and math.isnan(bound):
-            raise InputError(f"requirement '{self.text}': the model does not say the {self.reference} of '{place}'")
+            raise InputError(f"requirement '{self.text}': the model has no {self.reference} for '{place}'")
         comparable = bool(self.place) or not math.isnan(value + bound)
         passed = _COMPARISONS[self.comparison](value, bound) if comparable else None  # no verdict on NaN: not measured
         limit = "not known" if math.isnan(bound) else f"{self.comparison} {bound:.4g}"

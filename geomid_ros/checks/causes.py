@@ -16,10 +16,10 @@ _SENTENCES = {
     "robot; correct the names in the driver, or in the URDF",
     "gain": f"{{efforts}} about {{ratio}} of what this robot needs in N m{{unit}}: with about {{settings}} {_FOLLOW} "
     "(the exact factor cannot be distinguished from the masses)",
-    "magnitude": "the effort of {joints} has no sign: it never changes sign, though this robot's gravity and motion "
-    "require it. Record efforts with their sign",
-    "friction": "at {joints} friction seems to drive the motion: more friction is compensated than there is, while "
-    "masses and inertias match this robot. Record efforts before friction compensation, or compensate less",
+    "magnitude": "the effort of {joints} is unsigned (a magnitude): gravity and motion require both signs. Record "
+    "efforts with their sign",
+    "friction": "{joints}: the estimated friction is negative (over-compensated), while masses and inertias match this "
+    "robot. Record efforts before friction compensation, or compensate less",
     "zero": f"the zero of joint {{joints}} seems to be off: {{zero}} to be added to its positions before {_FOLLOW}. "
     "Calibrate the joint, or rotate its frame in the URDF",
     "axis": f"joint {{joints}} seems to turn opposite to its axis in the URDF: with {{reversed}} reversed{{zero}}, "
@@ -29,8 +29,8 @@ _SENTENCES = {
     "position": f"{{positions}} in {{unit}}: read as such, {_FOLLOW}; send messages in {{right}}",
     "time": f"stamps run {{rate}}: with {{period}} the time between messages, {_FOLLOW}; stamp messages in seconds, "
     "when they are measured",
-    "guided": "the efforts are those that hold the robot, not those that move it: it was moved by hand, or they are "
-    "those of its gravity compensation. Let its motors move it, and record their measured efforts",
+    "guided": "the efforts hold the robot but do not accelerate it: it was guided by hand, or they are gravity "
+    "compensation only. Let its motors move it, and record their measured efforts",
     "gravity": "gravity acts {how} than configured: {settings} fits ({check})",
     "level": "the efforts are explained much better if gravity is {vector} in the base frame: the base may be tilted "
     "by {angle:.1f} degrees. Measure it; correct it with --gravity {vector} (the parameter gravity), or let "
@@ -50,15 +50,15 @@ _SENTENCES = {
     "late": "efforts are not synchronous with the motion: {sizes}; check whether the driver filters, holds or polls "
     "them, or positions are set-points. Record both as measured, with the stamp of the measurement ('geomid gap' "
     "identifies a pure delay)",
-    "unexplained": "something is wrong with the efforts or the motion of {joints}, and no single cause that is known "
-    "explains all joints: check that the recording and the URDF are of the same robot. What comes nearest: {nearest}",
+    "unexplained": "efforts of {joints} are inconsistent with the URDF, and no known single cause explains all joints: "
+    "check that the recording and the URDF are of the same robot. Closest: {nearest}",
     "unrelated": "the efforts follow neither the gravity nor the motion of this robot: check whether they are "
     "external or compensated efforts, or the URDF is of another robot",
     "constant": "the effort of {joints} never changes though the joint moves: it is not measured",
-    "held": "the effort of joint {joints} is exactly the same from about {begin:.0f} s to {end:.0f} s, while gravity "
-    "and motion change the required effort by {asked:.3g}: it is not measured there; leave that part out",
-    "frozen": "the position of joint {joints} is frozen for {share:.0%} of the time, while efforts are not those of "
-    "that pose: check the encoder, and whether the driver repeats an old value. Leave that part out",
+    "held": "the effort of joint {joints} is stuck from about {begin:.0f} s to {end:.0f} s, while gravity and motion "
+    "require a change of {asked:.3g}: it is not measured there; leave that part out",
+    "frozen": "the position of joint {joints} is frozen for {share:.0%} of the time, but the efforts do not match a "
+    "constant pose: check the encoder, and whether the driver repeats an old value. Leave that part out",
     "lengths": "in the URDF {what}: {quantity} may be in {unit}; they must be in {right}",
 }
 """Sentence of each kind, or of a special case."""

@@ -35,7 +35,7 @@ def impossible_description(subject: EffortData) -> Cause | None:
     radii = np.sqrt([0.5 * np.trace(pseudo_inertia.central_inertia(body)) / body[0] for body in bodies])
     length, total = _length(subject), float(np.sum(bodies[:, 0]))
     extent_text = f"though all links together are {length:.3g} m long"
-    total_mass = f"the links weigh {total:.3g} kg in total, and "
+    total_mass = f"the total link mass is {total:.3g} kg, and "
     if np.median(_denser_than_steel(bodies)) > 0.0:
         return _lengths([], f"{total_mass}most of its links would be denser than steel", "the masses", "grams", "kg")
     for sizes, what, quantity, unit, right in (

@@ -40,8 +40,8 @@ def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[RecordingF
     if not named:
         return ()
     sentence = (
-        f"limbs that no contact names seem to carry a part of the robot's weight: {', '.join(named)}. Name their feet "
-        "(--contacts)"
+        f"limbs without a declared contact seem to support a part of the robot's weight: {', '.join(named)}. Declare "
+        "their feet (--contacts)"
     )
     return (RecordingFault(cause=Cause(kind="legs", sentence=sentence)),)
 
@@ -77,9 +77,9 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
     if not standing:
         return []
     sentence = (
-        f"{', '.join(standing)} never left the ground in what was fitted: of these legs only what the base feels is "
-        "identified. Lift each leg and move it in the air for two seconds or more; if it was, that was held out "
-        "(--hold-out 0 fits it, too)"
+        f"{', '.join(standing)} never left the ground in the training data: for these legs only parameters that the "
+        "base wrench depends on are identifiable. Lift each leg and move it in the air for two seconds or more; if it "
+        "was lifted, that part was held out (--hold-out 0 fits it, too)"
     )
     return [sentence]
 
@@ -92,7 +92,7 @@ def carried_weight(legs: Legs, samples: Samples) -> tuple[RecordingFault, ...]:
     if _USUAL[0] <= share <= _USUAL[1]:
         return ()
     sentence = (
-        f"by the efforts of their legs the feet carry {share:.2g} of the robot's weight on average, expected about 1: "
+        f"leg efforts support {share:.2g} of the robot's weight on average (expected about 1): "
         "check that efforts are in N m with their sign (effort_gain, --gain), that all feet are named (contacts), and "
         "that the IMU's frame is not upside down"
     )
@@ -216,7 +216,7 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[RecordingFault, ...]:
 
 
 def _finding(fault: str) -> RecordingFault:
-    sentence = f"the IMU does not turn as the base does by legs that all stand: {fault}"
+    sentence = f"the gyroscope disagrees with the base rotation computed from the standing legs: {fault}"
     return RecordingFault(cause=Cause(kind="imu", sentence=sentence))
 
 

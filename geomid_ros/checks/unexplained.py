@@ -28,8 +28,8 @@ _ELSE = (
 
 
 _OF_BASE = (
-    "what the feet bear and what the base does do not belong together: check that the clocks of the IMU and of the "
-    "joints agree, that efforts are not late, the IMU's frame, and that all feet are named"
+    "foot loads and base motion are inconsistent: check that the clocks of the IMU and of the joints agree, that "
+    "efforts are not late, the IMU's frame, and that all feet are named"
 )
 
 
@@ -95,18 +95,21 @@ def _hints(subject: EffortData, channel: int) -> Iterator[tuple[str, FloatArray]
     name, joint = subject.names[channel], subject.joints[channel]
     place, speed = subject.samples.position[:, joint], subject.samples.velocity[:, joint]
     yield (
-        f"what is left follows the position of '{name}': check its axis, sign and zero in the URDF, or a spring",
+        f"the residual correlates with the position of '{name}': check its axis, sign and zero, or a spring",
         np.column_stack([place, place**2, place**3]),
     )
     yield _speed_hint(name), np.column_stack([speed, np.sign(speed)])
     for other, effort in enumerate(subject.measured.T):
         if other != channel:
-            coupled = f"what is left follows the effort of '{subject.names[other]}': check a coupling of the two gears"
-            yield f"{coupled}, and the axes and signs of both positions", effort[:, None]
+            coupled = f"the residual correlates with the effort of '{subject.names[other]}'"
+            yield f"{coupled}: check a coupling of the two gears, and the axes and signs of both", effort[:, None]
 
 
 def _speed_hint(joint: str) -> str:
-    return f"what is left follows the speed of '{joint}': check the sign of its position, and its friction (--effects)"
+    return (
+        f"the residual correlates with the speed of '{joint}': check the sign of its position, and its friction "
+        "(--effects)"
+    )
 
 
 def unexplained(

@@ -72,8 +72,8 @@ def verdict(
         implausible_links: implausible links, in sentences.
     """
     warnings = [
-        f"'{channel}' is predicted worse than by the URDF: the motion is too little informative there, or "
-        "something acts that the model lacks"
+        f"'{channel}' is predicted worse than by the URDF: the motion is not informative enough there, or an effect "
+        "is missing in the model"
         for channel in degraded_channels
     ]
     warnings += effort_faults
@@ -109,8 +109,8 @@ def _implausible_mass(estimate: Estimate, model: MeasurementModel) -> Iterator[s
     weighed = bool(estimate.known) or (model.robot.floating_base and model.legs is None)
     if not weighed and not nominal / HEAVIER <= mass <= nominal * HEAVIER:
         yield (
-            f"the links weigh {mass:.3g} kg in all instead of the URDF's {nominal:.3g} kg: the motion does not "
-            "identify masses, effects that the model lacks stand in for them, or the recording is of another robot; "
+            f"the total link mass is {mass:.3g} kg instead of the URDF's {nominal:.3g} kg: masses are not identifiable "
+            "from this motion, or they absorb an unmodelled effect, or the recording is of another robot; "
             "weigh the robot or a part of it (--known)"
         )
 
@@ -129,8 +129,8 @@ def poorly_predicted(estimate: Estimate, held_out: FloatArray) -> list[str]:
         f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > LARGEST_MASS_FACTOR)
     )
     sentence = (
-        f"what was held out is predicted far worse than what was fitted: {named}; the robot moves otherwise there, or "
-        "something has changed. If nothing has, fit all of it (--hold-out 0, or one more bag), and judge on another "
+        f"held-out data are predicted far worse than training data: {named}; the robot moves differently there, or "
+        "something changed. If nothing changed, fit all data (--hold-out 0, or one more bag), and validate on another "
         "recording (--validate)"
     )
     return [sentence]

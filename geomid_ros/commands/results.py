@@ -106,7 +106,7 @@ def _show_verification(result: geomid_ros.Verification) -> None:
         console.print(_requirements(result))
     checked = [outcome.passed for outcome in result.outcomes if outcome.passed is not None]
     skipped = len(result.outcomes) - len(checked)
-    summary = f"{sum(checked)} of {len(checked)} requirements hold" + (f", {skipped} not judged" if skipped else "")
+    summary = f"{sum(checked)} of {len(checked)} requirements hold" + (f", {skipped} not checked" if skipped else "")
     say(console, "PASSED:" if result.passed else "FAILED:", f" {summary}" + ("; doubtful" if result.doubts else ""))
 
 
@@ -121,7 +121,7 @@ def _channels(result: geomid_ros.Verification) -> Table:
 def _requirements(verification: geomid_ros.Verification) -> Table:
     table = plain_table("Requirements", ["requirement", "of"], ["value", "bound", "result"])
     for outcome in verification.outcomes:
-        result = {True: "passed", False: "FAILED", None: "not judged"}[outcome.passed]
+        result = {True: "passed", False: "FAILED", None: "not checked"}[outcome.passed]
         table.add_row(outcome.requirement, outcome.what, _number(outcome.value), outcome.bound, result)
     return table
 

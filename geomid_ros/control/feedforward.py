@@ -51,7 +51,7 @@ class MotorEfforts:
         """
         robot = model.robot
         if robot.floating_base:
-            raise InputError("the base floats: what its legs have to do depends on their contacts")
+            raise InputError("floating base: leg efforts depend on the contacts")
         if not model.layout.efforts:
             raise InputError("efforts cannot be predicted: an external wrench sensor does not measure all six axes")
         for joint in joints:
@@ -59,7 +59,7 @@ class MotorEfforts:
                 raise InputError(f"{source}: {unknown_name('joint', joint, robot.joint_names)}")
         if missing := [joint for joint in robot.joint_names if joint not in joints]:
             names = ",".join(missing)
-            raise InputError(f"{source}: says nothing of {names}; if they stand at zero, --lock {names}")
+            raise InputError(f"{source}: does not contain {names}; if they stay at zero, --lock {names}")
         self._robot = robot
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains = gains[self._order]

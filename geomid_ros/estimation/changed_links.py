@@ -47,18 +47,21 @@ class ChangedLink:
     @property
     def sentence(self) -> str:
         """Sentence with 95 % intervals: the mass, or if its change is not significant, the first moment."""
-        others = f", or {' or '.join(self.rivals)} has changed instead" if self.rivals else ""
-        interval = f"± {STDS_OF_95 * self.mass.std:.2g} kg"
+        others = f", or {' or '.join(self.rivals)} changed instead" if self.rivals else ""
+        mass = f"by {_with_interval(self.mass)} kg"
         if _is_significant(self.mass):
-            less = "less" if self.mass.value < 0.0 else "more"
-            return f"{self.link} weighs {abs(self.mass.value):.3g} {interval} {less}{others}"
+            return f"mass of {self.link} changed {mass}{others}"
         moments = [
-            f"first moment {axis} by {change.value:.2g} ± {STDS_OF_95 * change.std:.2g} kg m"
+            f"first moment {axis} by {_with_interval(change)} kg m"
             for axis, change in self.moment.items()
             if _is_significant(change)
         ]
-        changes = ", ".join([*moments, f"mass by {self.mass.value:.2g} {interval}"])
-        return f"{self.link} has changed: {changes}{others}"
+        return f"{self.link} changed: {', '.join([*moments, f'mass {mass}'])}{others}"
+
+
+def _with_interval(change: Quantity) -> str:
+    """Format a change with its sign and 95 % interval, without the unit."""
+    return f"{change.value:+.3g} ± {STDS_OF_95 * change.std:.2g}"
 
 
 def _is_significant(change: Quantity) -> bool:

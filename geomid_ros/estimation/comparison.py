@@ -93,7 +93,7 @@ class Difference:
     def sentence(self) -> str:
         """Sentence for reports."""
         name = f"{self.effect.replace('_', ' ')} {self.parameter}".strip().replace("_", " ")
-        before, after = ("none" if value is None else f"{value.value:.3g}" for value in (self.first, self.second))
+        before, after = ("absent" if value is None else f"{value.value:.3g}" for value in (self.first, self.second))
         return f"{self.place}: {name} {before} → {after} {self.unit}".strip()
 
 

@@ -37,8 +37,8 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 _FAR = 2.0  # default prior std: a link with a larger fitted prior std is an outlier
 _TAKEN = 2.0  # standard deviations: a smaller effect is not significant
 _SPENT = (
-    "the solver's budget of steps was spent before the spreads of the links had settled: masses are those of the last "
-    "step; is the URDF this robot's, in SI units, and do efforts have the signs of its joints?"
+    "the solver ran out of steps before the prior stds of the links converged; masses are those of the last step; "
+    "check that the URDF is this robot's and in SI units, and the signs of the efforts"
 )
 _Solved: TypeAlias = tuple[Fit, Mapping[str, float], Iterable[str]]
 _OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth over the cutoff

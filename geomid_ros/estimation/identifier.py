@@ -50,7 +50,9 @@ class BufferSettings:
         if not self.forgetting_time > 0.0:
             raise InputError(f"forgetting time is {self.forgetting_time:g} s, expected a number greater than zero")
         if self.folds < 2 or self.folds % 2 or self.block < 1:
-            raise InputError(f"{self.folds} folds of {self.block} instants, expected an even number of one or more")
+            raise InputError(
+                f"folds is {self.folds} and block is {self.block}; folds must be even and at least 2, block at least 1"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,11 +317,11 @@ class Identifier:
         robot = self.model.robot
         width = len(robot.joints) + (7 if robot.floating_base else 0)
         if memory.last_pose is not None and memory.last_pose.shape != (width,):
-            raise InputError(f"a pose of shape {memory.last_pose.shape}, expected ({width},)")
+            raise InputError(f"last pose has shape {memory.last_pose.shape}, expected ({width},)")
         visited, width = memory.summary.visited, 3 * len(robot.joints) + (15 if robot.floating_base else 0)
         for states, expected in ((visited.kept, (3, width)), (visited.last, (width,))):
             if len(states) and states.shape[1:] != expected:
-                raise InputError(f"states of a motion of shape {states.shape[1:]}, expected {expected}")
+                raise InputError(f"states of the motion have shape {states.shape[1:]}, expected {expected}")
         with self._lock:
             summary = self._empty_summary()
             summary.restore(memory.summary)

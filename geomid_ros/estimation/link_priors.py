@@ -134,8 +134,8 @@ class AlikePrior(CoupledPrior):
                 if weights[name] < RELEASED_BELOW:
                     others = ", ".join(other for other in group.names if other != name)
                     yield (
-                        f"link '{name}' differs from {others}, which are the same part by the URDF, and was released "
-                        "from them; check for a repair or a load on it, or give '--alike none'"
+                        f"link '{name}' differs from {others}, which are identical parts in the URDF; its prior is no "
+                        "longer coupled to theirs; check for a repair or a load on it, or give '--alike none'"
                     )
 
 
@@ -159,8 +159,8 @@ class PopulationPrior(CoupledPrior):
         links = [name for name in model.body_names if name in population.links]
         if not links:
             raise InputError(
-                f"the prior is of another type of robot: its links are {', '.join(population.links)}, those of "
-                f"this robot {', '.join(model.body_names)}"
+                f"the population has no link of this robot: its links are {', '.join(population.links)}, the robot's "
+                f"are {', '.join(model.body_names)}"
             )
         named = {(effect.name, effect.place, effect.parameter): effect for effect in population.effects}
         first = 10 * len(model.body_names)
@@ -228,6 +228,6 @@ class PopulationPrior(CoupledPrior):
             if weight < RELEASED_BELOW:
                 label = f"link '{name}'" if name in self.population.links else f"the {name.replace('_', ' ')} of joints"
                 yield (
-                    f"{label} differs from that of the {self.population.robots} robots of the prior and was released "
-                    "from it; check for a tool left on, a repair, or a robot of another type"
+                    f"{label} differs from that of the {self.population.robots} robots of the prior, which no longer "
+                    "constrains it; check for a tool left on, a repair, or a robot of another type"
                 )

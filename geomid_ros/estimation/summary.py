@@ -293,15 +293,18 @@ class RowSummary:
         """
         numbers = np.array([state.instants, state.time, state.rows, state.weight])
         if state.counts.shape != (self.folds, len(self.groups)) or len(state.factors) != self.folds:
-            raise InputError(f"{len(state.factors)} folds, expected {self.folds} of {len(self.channels)} channels")
+            raise InputError(
+                f"rows have {len(state.factors)} folds and counts of shape {state.counts.shape}, expected {self.folds} "
+                f"folds of {len(self.groups)} groups"
+            )
         if any(len(factors) != len(self.groups) for factors in state.factors):
-            raise InputError(f"folds of other groups, expected {len(self.groups)} groups in each")
+            raise InputError(f"folds must have {len(self.groups)} groups each")
         if not all(np.all(np.isfinite(array) & (array >= 0.0)) for array in (numbers, state.counts)):
-            raise InputError("numbers of rows that are negative or not finite")
+            raise InputError("numbers of rows must be finite and not negative")
         visited = state.visited
         finite = all(np.all(np.isfinite(values)) for values in (visited.kept, visited.last, visited.age))
         if visited.kept.ndim != 3 or not finite or visited.every < 1:
-            raise InputError("states of a motion that are not finite, or not numbered")
+            raise InputError("states of the motion are not finite, or have no valid numbering")
         summaries = [
             [
                 ChannelSummary(_checked(factor, channel), float(count), float(state.time))
@@ -363,7 +366,9 @@ def _checked(factor: FloatArray, channel: Channel) -> FloatArray:
     """Return a factor if it is valid for this channel. Raises InputError otherwise."""
     width = len(channel.columns) + 1
     if factor.ndim != 2 or factor.shape[1] != width or len(factor) > width:
-        raise InputError(f"rows of channel '{channel.name}' are {factor.shape}, expected at most ({width}, {width})")
+        raise InputError(
+            f"rows of channel '{channel.name}' have shape {factor.shape}, expected at most ({width}, {width})"
+        )
     if not np.all(np.isfinite(factor)):
         raise InputError(f"rows of channel '{channel.name}' are not finite")
     return factor

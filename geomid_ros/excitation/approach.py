@@ -135,7 +135,7 @@ class ApproachPath:
             if not self._obstacle(start, posture) and not self._obstacle(posture, goal):
                 return [posture, goal]
         raise InputError(
-            f"the approach to the start is not free: {obstacle}; move the robot closer to the start by hand"
+            f"no collision-free approach to the start: {obstacle}; move the robot closer to the start by hand"
         )
 
     def _obstacle(self, start: FloatArray, goal: FloatArray) -> str:
@@ -150,7 +150,9 @@ class ApproachPath:
         loads = np.max(np.abs(efforts), axis=0) / robot.effort_limits
         worst = int(np.argmax(loads))
         name = robot.joint_names[worst]
-        return f"gravity takes {loads[worst]:.0%} of the effort limit of joint '{name}'" if loads[worst] > 1.0 else ""
+        return (
+            f"gravity requires {loads[worst]:.0%} of the effort limit of joint '{name}'" if loads[worst] > 1.0 else ""
+        )
 
     def _too_close(self, start: FloatArray, goal: FloatArray) -> str:
         if self._collision is None:

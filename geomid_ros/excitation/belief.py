@@ -207,10 +207,11 @@ def aim_weight(aim: str, belief: Belief, others: Sequence[ExcitingMotion]) -> Fl
 def error_description(aim: str) -> str:
     """Phrase for the error that the root of an aim's criterion measures."""
     if aim == PREDICTION:
-        return "of efforts predicted for other motions, in units of the noise"
+        return "RMS prediction error of efforts on other motions, in units of the noise"
     if aim == FRICTION:
-        return "of the friction coefficients, relative to them, all together"
-    return f"of the inertia of {'the last link' if aim == PAYLOAD else aim.removeprefix(LINK)}, as a geodesic distance"
+        return "combined relative error of the friction coefficients"
+    link = "the last link" if aim == PAYLOAD else aim.removeprefix(LINK)
+    return f"error of the inertia of {link}, as a geodesic distance"
 
 
 def _are_friction(knowledge: Belief) -> list[bool]:
@@ -251,12 +252,15 @@ class DesignComparison:
         """Sentences that compare the designed motion with the others."""
         lines = [f"{self.before.error:.3g} before, {self.designed.error:.3g} after this motion"]
         gain = 1.0 - self.designed.error / self.random.error
-        no_gain = "the design saves nothing here; its benefit is that the motion is checked"
+        no_gain = "the design is no better than a random motion here, but it is checked for feasibility"
         saved = f"{gain:.0%} saved" if gain > _WORTH else no_gain
         lines.append(f"a random feasible motion of the same length leaves {self.random.error:.3g}: {saved}")
         longer = self.random_twice.error / self.designed.error
-        better = "recording longer helps more than the design" if longer < 1.0 else "the design is worth more than that"
-        lines.append(f"a random motion twice as long leaves {self.random_twice.error:.3g}: {better}")
+        better = "recording longer" if longer < 1.0 else "the design"
+        worse = "the design" if longer < 1.0 else "recording twice as long"
+        lines.append(
+            f"a random motion twice as long leaves {self.random_twice.error:.3g}: {better} helps more than {worse}"
+        )
         lines.append(f"this motion recorded twice leaves {self.twice.error:.3g}")
         return lines
 

@@ -157,8 +157,8 @@ class Feasibility:
         worst = int(np.argmax(used))
         if used[worst] >= 1.0:
             raise InputError(
-                f"at the start gravity and its uncertainty take {100 * used[worst]:.0f} % of the effort limit of joint "
-                f"'{self.names[worst]}'; give another --start"
+                f"at the start pose, gravity (with its uncertainty) requires {100 * used[worst]:.0f} % of the effort "
+                f"limit of joint '{self.names[worst]}'; give another --start"
             )
 
     def _effort_shares(self, states: FloatArray) -> FloatArray:

@@ -43,7 +43,7 @@ class RobotLimits:
         for name in joints:
             if name not in robot.joint_names:
                 unknown = unknown_name(f"joint of {robot.source}", name, robot.joint_names)
-                raise InputError(f"{source}: made for another robot: {unknown}")
+                raise InputError(f"{source}: the motion belongs to another robot: {unknown}")
         places = [robot.joint_names.index(name) for name in joints]
         lower, upper = robot.position_limits[places].T
         return RobotLimits(joints, lower, upper, robot.speed_limits[places], robot.effort_limits[places])
@@ -190,7 +190,7 @@ class MotionMonitor:
             return ""
         return (
             f"joint '{self._name(worst)}' is {error[worst]:.3f} rad (m) off its trajectory, at "
-            f"{position[worst]:.3f} instead of {commanded[worst]:.3f}; {self._tolerance:g} are allowed (--tolerance)"
+            f"{position[worst]:.3f} instead of {commanded[worst]:.3f}; tolerance {self._tolerance:g} (--tolerance)"
         )
 
     def _not_followed(self) -> str:
@@ -202,9 +202,9 @@ class MotionMonitor:
             return ""
         worst = int(np.argmax(span))
         return (
-            f"the controller does not follow: joint '{self._name(worst)}' should have moved by {span[worst]:.3f} rad "
-            f"(m) in the last {_WINDOW:g} s but stands still. Check that the controller is active and the robot is "
-            f"enabled"
+            f"the controller does not follow: joint '{self._name(worst)}' was commanded to move by {span[worst]:.3f} "
+            f"rad (m) in the last {_WINDOW:g} s but is at rest. Check that the controller is active and the robot is "
+            "enabled"
         )
 
     def _name(self, index: int | np.integer[Any]) -> str:

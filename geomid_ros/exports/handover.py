@@ -302,7 +302,7 @@ class FileTest:
         if not self._is_worse(channel, corrected := self.corrected[channel]):
             return f", {corrected:.3g} with the errors of sensors in effects.yaml; {_ADD}"
         lacks = self.omitted_effects.get(channel)
-        return (f" (it cannot hold {'; '.join(lacks)})" if lacks else "") + f"; {_ADVICE}"
+        return (f" (it cannot represent {'; '.join(lacks)})" if lacks else "") + f"; {_ADVICE}"
 
     @property
     def entry(self) -> dict[str, object]:
@@ -311,10 +311,10 @@ class FileTest:
 
 
 _RECORD = (
-    "so does the estimate: what was fitted does not carry over to this motion. Record more motion of this joint, in "
-    "more poses of the others, and check that nothing was carried or touched meanwhile"
+    "so does the full estimate: the fit does not generalise to this motion. Record more motion of this joint, in "
+    "more poses of the others, and check that there was no payload or contact"
 )
-_ADD = "add these to what it predicts, or record more motion, as they may be weights"
+_ADD = "add these to its predictions, or record more motion: they may be due to masses instead"
 _ADVICE = "choose another format (--for), or record more motion of this joint"
 
 

@@ -96,7 +96,7 @@ def read_model(path: Path, reader: str = "") -> ExportModel:
     file, urdf = EstimateFile.read(path), path.parent / IDENTIFIED
     if not urdf.exists():
         raise InputError(
-            f"{path}: there is no {IDENTIFIED} beside it, which says where the links are; keep the files that were "
+            f"{path}: {IDENTIFIED} (the places of the links) is missing in the same folder; keep the files that were "
             "written together in one folder"
         )
     text, source = read_urdf(urdf), str(path)
@@ -175,8 +175,8 @@ def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source
         written = tree.inertials.get(name, np.zeros(10))[0]
         if abs(written - parameters[0]) > RELATIVE_TOLERANCE * parameters[0]:
             raise InputError(
-                f"{source}: the {IDENTIFIED} beside it is not of this estimate: link '{name}' weighs {written:.6g} kg "
-                f"there and {parameters[0]:.6g} kg here"
+                f"{source}: the {IDENTIFIED} in the same folder is not of this estimate: link '{name}' has "
+                f"{written:.6g} kg there and {parameters[0]:.6g} kg here"
             )
 
 

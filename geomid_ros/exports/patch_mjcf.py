@@ -68,7 +68,7 @@ def patch_user_mjcf(model: ExportModel, path: Path) -> DescriptionFiles:
         *not_representable(model, ("mjcf/joint", "mjcf/body")),
         *_named(f"{path}: has no body", [name for name in links if name not in target.placements]),
         *_named(f"{path}: has no joint", [name for name in attributes if name not in target.joints]),
-        *_named("Counted in with others, so that they weigh nothing:", target.emptied),
+        *_named("Merged into other bodies (mass set to zero):", target.emptied),
     ]
     return DescriptionFiles(patched, sentences)
 

@@ -58,8 +58,8 @@ def sum_of_links(model: ExportModel, links: Sequence[str], frame: str) -> Export
         model.check_link(link, "link")
         if link not in model.bodies:
             holders = [name for name, body in model.bodies.items() if link in body.merged]
-            reason = f"it is counted in with '{holders[0]}'" if holders else "it has no mass"
-            raise InputError(f"{model.source}: link '{link}' is no body of its own: {reason}")
+            reason = f"it is merged into '{holders[0]}'" if holders else "it has no mass"
+            raise InputError(f"{model.source}: link '{link}' is not a separate body: {reason}")
     return _sum_of(model, list(dict.fromkeys(links)), frame)
 
 
@@ -77,8 +77,8 @@ def difference(model: ExportModel, reference: ExportModel, frame: str) -> Export
         inertial = total(terms, f"what {model.source} has more than {reference.source} at '{frame}'")
     except InputError as error:
         raise InputError(
-            f"{error}. A small difference of two estimates drowns in their errors: weigh the tool as a body of its own "
-            f"by {_weighing(reference, frame)}, or mount a wrench sensor before it"
+            f"{error}. The difference may be smaller than the errors of both estimates; identify the tool as a "
+            f"separate body with {_weighing(reference, frame)}, or mount a wrench sensor before it"
         ) from error
     notes = (
         *_joints_at_zero(model, minuend, frame),
@@ -117,8 +117,8 @@ def _sum_of(model: ExportModel, links: Sequence[str], frame: str) -> Export:
     massive = _massive(model, links)
     if not massive:
         raise InputError(
-            f"{model.source}: nothing at or after '{frame}' has a mass. What is attached there may be counted in "
-            "with a link before it: name a model without it (--without)"
+            f"{model.source}: nothing at or after '{frame}' has a mass. What is attached there may be merged into a "
+            "link before it: give a model without it (--without)"
         )
     _check_identified(model, massive)
     inertial = total(_terms(model, massive, frame), f"{model.source}: {', '.join(massive)} together")
@@ -159,9 +159,9 @@ def _check_whole(model: ExportModel, links: Sequence[str]) -> None:
         inside = [link for link in body.merged if link in links]
         if inside and name not in links:
             raise InputError(
-                f"{model.source}: '{name}' was identified as one body with {', '.join(inside)}, which cannot be told "
-                f"apart. Name an estimate or a URDF of the robot without what is attached (--without), or '{name}' "
-                "itself (--links)"
+                f"{model.source}: '{name}' was identified as one body with {', '.join(inside)}; they are not "
+                "separately identifiable. Give an estimate or a URDF of the robot without what is attached "
+                f"(--without), or '{name}' itself (--links)"
             )
 
 
@@ -204,8 +204,8 @@ def _other_differences(model: ExportModel, reference: ExportModel, frame: str) -
     differing = [link for link in common if not _same(model.bodies[link], reference.bodies[link])]
     if not differing:
         return []
-    weighing = f"weigh it by {_weighing(reference, frame)}"
-    return [f"{', '.join(differing)} differ, too, and part of the payload may be in them: {weighing}"]
+    advice = f"identify it with {_weighing(reference, frame)}"
+    return [f"{', '.join(differing)} differ, too, and may contain a part of the payload: {advice}"]
 
 
 def _weighing(reference: ExportModel, frame: str) -> str:
@@ -251,10 +251,10 @@ def _sum(terms: Sequence[Summand], quantities: FloatArray) -> FloatArray:
 
 def _not_physical(parameters: FloatArray) -> str:
     if parameters[0] <= 0.0:
-        return f"it weighs {parameters[0]:.4g} kg; a body has a positive mass"
+        return f"its mass is {parameters[0]:.4g} kg; it must be positive"
     moments = np.linalg.eigvalsh(pseudo_inertia.central_inertia(parameters))
     numbers = ", ".join(f"{moment:.3g}" for moment in moments)
     return (
-        f"it weighs {parameters[0]:.4g} kg, but no body has its principal moments of inertia, {numbers} kg m^2: each "
-        "must be less than the sum of the two others"
+        f"its mass is {parameters[0]:.4g} kg, but its principal moments of inertia, {numbers} kg m^2, are not "
+        "physically consistent: each must be less than the sum of the two others"
     )

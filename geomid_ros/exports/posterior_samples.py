@@ -115,7 +115,7 @@ class DrawnRobots:
             for e in self.model.effects
             if (e.effect, e.joint) not in drawn
         ]
-        return f"the same in all robots, as the posterior has nothing of it: {', '.join(names)}" if names else ""
+        return f"identical in all robots (not in the posterior): {', '.join(names)}" if names else ""
 
 
 def sample_robots(path: Path, count: int, seed: int, std_factor: float) -> DrawnRobots:
@@ -126,7 +126,7 @@ def sample_robots(path: Path, count: int, seed: int, std_factor: float) -> Drawn
     """
     model = read_model(path)
     if not model.estimated:
-        raise InputError(f"{path}: no estimate.json, and so nothing is known of how sure its numbers are")
+        raise InputError(f"{path}: not an estimate.json; it has no uncertainties to sample from")
     file = posterior_path(path)
     posterior = read_posterior(file)
     check_matches_estimate(

@@ -98,7 +98,7 @@ def read_joint_limits(path: Path, joints: Collection[str]) -> dict[str, JointLim
 
 def _limits_of(entry: Any, where: str) -> JointLimits:
     if not isinstance(entry, dict):
-        raise InputError(f"{where} is no mapping of limits")
+        raise InputError(f"{where} is not a mapping of limits")
     limits = {kind: _limit(entry, f"max_{kind}", f"has_{kind}_limits", where) for kind in _LIMITS}
     for kind, value in limits.items():
         if value is not None and not value > 0.0:

@@ -80,7 +80,7 @@ def write_bag(folder: Path, trajectory: Trajectory) -> None:
 def _write(folder: Path, message: Any) -> None:
     existing = [*folder.iterdir()] if folder.is_dir() else []
     if folder.exists() and not all(file.name == "metadata.yaml" or file.suffix == ".mcap" for file in existing):
-        raise InputError(f"{folder}: is there already and is no bag; name another folder")
+        raise InputError(f"{folder}: already exists and is not a bag; give another folder")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:

@@ -115,10 +115,10 @@ class LinkChange:
         if self.moment:
             changes = (f"{axis} by {q.value:.3g} ± {q.std:.2g} {q.unit}" for axis, q in self.moment.items())
             by_mass = f"{self.mass.value:.2g} ± {self.mass.std:.2g} kg"
-            return f"link '{self.link}' has changed: first moment {', '.join(changes)} (mass by {by_mass})"
-        less = "less" if self.mass.value < 0.0 else "more"
+            return f"first moment of link '{self.link}' changed: {', '.join(changes)} (mass by {by_mass})"
+        lower = "lower" if self.mass.value < 0.0 else "higher"
         size = f"{abs(self.mass.value):.3g} ± {self.mass.std:.2g} kg"
-        text = f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
+        text = f"mass of link '{self.link}' is {size} {lower} than in the model ({self.was:.3g} kg)"
         centre = ", ".join(f"{axis} {q.value:.3g} ± {q.std:.2g}" for axis, q in self.centre.items())
         return f"{text}; the difference is centred at {centre} m" if centre else text
 

@@ -226,8 +226,8 @@ def _check_held_out(model: MeasurementModel, unseen: Records) -> None:
     """Refuse held-out data on which nothing can be evaluated."""
     if not unseen.dense or not np.any(unseen.usable(model, _measured(model, unseen))):
         raise InputError(
-            "nothing to judge on: in the data that are held out no joint whose effort is measured moves, and no wrench "
-            "is measured, or they are too short; hold out more (--hold-out), or a recording in motion (--validate)"
+            "no usable held-out data: no joint with measured effort moves, and no wrench is measured, or the data are "
+            "too short; hold out more (--hold-out), or a recording in motion (--validate)"
         )
 
 

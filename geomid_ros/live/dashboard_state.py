@@ -91,7 +91,7 @@ def _link(name: str, values: Mapping[str, str]) -> State:
         "from_data": _number(values.get("from data")),
         "distance": _number(values.get("distance from prior")),
         "merged": values.get("merged", ""),
-        "cannot_tell": cannot_tell([*filter(None, values.get("cannot be told", "").split(", "))]),
+        "cannot_tell": cannot_tell([*filter(None, values.get("not identifiable", "").split(", "))]),
     }
 
 

@@ -21,7 +21,7 @@ from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.pipeline import ignore
 from geomid_ros.types import FloatArray, IntArray
 
-_PART = "a message that has a part of the joints (merge_joint_states) does not tell their efforts"
+_PART = "messages with only some joints (merge_joint_states) do not determine efforts"
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +129,9 @@ def _obstacle(session: Session) -> str:
     if not session.model.layout.efforts:
         return "no joint efforts are identified"
     if session.robot.floating_base:
-        return "efforts depend on how the base moves, of which joint states say nothing"
+        return "efforts depend on the motion of the base, which joint states do not contain"
     if session.model.external:
-        return "efforts depend on external wrenches, of which joint states say nothing"
+        return "efforts depend on external wrenches, which joint states do not contain"
     return ""
 
 

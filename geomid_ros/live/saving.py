@@ -215,7 +215,7 @@ class Saving:
                     self._remainder = estimate, remainder
                     write_posterior(self._folder / POSTERIOR, estimate.posterior, remainder)
         except Exception as error:  # noqa: BLE001 as below
-            self._problem = f"what the estimate lacks could not be saved: {error}"
+            self._problem = f"the remainder could not be saved: {error}"
 
     def _remainder_of(self, estimate: Estimate) -> KnownRemainder | None:
         return self._remainder[1] if self._remainder is not None and self._remainder[0] is estimate else None
@@ -237,7 +237,9 @@ class Saving:
             if last is None:
                 answer((False, f"{NOT_YET}: the first one takes more than {_LATE:g} s; ask again later"))
                 return
-            late = f"; it is of {last.rows_accepted} rows; one of all rows takes more than {_LATE:g} s, {FOLLOWS}"
+            late = (
+                f"; it uses {last.rows_accepted} rows; an estimate from all rows takes more than {_LATE:g} s, {FOLLOWS}"
+            )
             self.begin(worker, last, lambda saved: answer((saved[0], saved[1] + late)))
 
         start_later(_LATE, save_last)

@@ -178,7 +178,7 @@ class Supervisor:
             self._hung = ""
         self._hanging = (
             *([f"message processing hangs again after {MOST_RESTARTS} restarts; no restart until ~/reset"] * intake),
-            *(["the solver hangs, and not in a solve; restart the node"] * solver),
+            *(["the solver thread hangs outside a solve; restart the node"] * solver),
         )
 
     def close(self) -> None:

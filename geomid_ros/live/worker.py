@@ -67,7 +67,7 @@ class Worker:
         self.solver.close(max(0.0, end - time.monotonic()))
         with suppress(GeomidError):  # errors in messages that will yield no more rows
             self.session.pipeline.release()
-        self._drop(self._inbox.clear(), "the node ends, or begins anew")
+        self._drop(self._inbox.clear(), "node shut down or restarted")
 
     def _drop(self, messages: Sequence[Received], reason: str) -> None:
         for message in messages:

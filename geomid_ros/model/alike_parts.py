@@ -64,7 +64,8 @@ def alike_sentences(groups: Sequence[AlikeParts]) -> Iterator[str]:
     """Yield a sentence that lists the alike links, if there are any."""
     named = [", ".join(group.names) + " (motors of one type)" * group.motors for group in groups]
     if named:
-        yield f"alike in the URDF, so their errors are taken for mostly the same (--alike none): {'; '.join(named)}"
+        listing = "; ".join(named)
+        yield f"identical in the URDF; their errors are assumed to be correlated (disable: --alike none): {listing}"
 
 
 def _is_one_limb(model: pin.Model, first: Body, second: Body) -> bool:

@@ -67,7 +67,7 @@ class Legs:
                 if shared := set(joints.tolist()) & set(other_joints.tolist()):
                     name = robot.joint_names[min(shared)]
                     feet = f"'{contacts[other].frame}' and '{contacts[index].frame}'"
-                    raise InputError(f"contacts: {feet} both move with joint '{name}', expected one foot at each leg")
+                    raise InputError(f"contacts: {feet} share joint '{name}'; each foot needs its own leg")
 
     def _joints(self, contact: Contact) -> IntArray:
         robot, frame = self._robot, contact.frame
@@ -77,8 +77,8 @@ class Legs:
         joints = np.array([index for index, name in enumerate(robot.joint_names) if name in above], dtype=np.int64)
         if len(joints) < DIRECTIONS:
             raise InputError(
-                f"contacts: {len(joints)} moving joints are between the base and '{frame}', expected at least "
-                f"{DIRECTIONS}: the forces of the ground are found from a leg's efforts; measure them (--wrench)"
+                f"contacts: the leg of '{frame}' has too few joints ({len(joints)}): at least {DIRECTIONS} are "
+                "needed to compute ground reaction forces from efforts; otherwise measure them (--wrench)"
             )
         return joints
 

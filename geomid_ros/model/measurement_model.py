@@ -136,24 +136,26 @@ class MeasurementModel:
         external = self.external
         if external and self.legs:
             raise InputError(
-                f"contacts and an external wrench sensor, '{external[0].topic}': the forces of the ground are either "
-                "found from efforts or measured; leave one of them out"
+                f"contacts and an external wrench sensor, '{external[0].topic}', exclude each other: ground reaction "
+                "forces are either computed from efforts or measured; remove one"
             )
         if len(external) > 1 and any(len(sensor.axes) < 6 for sensor in external):
-            raise InputError("of several external wrench sensors each must measure all six axes: their loads are added")
+            raise InputError(
+                "with several external wrench sensors, each must measure all six axes: their wrenches are summed"
+            )
 
     def _check_mounted(self, sensor: WrenchSensor) -> None:
         if sensor.frame not in self.robot.tree.links:
             raise unknown_name("frame of a mounted wrench sensor", sensor.frame, self.robot.tree.links)
         if not self.robot.is_divided_at(sensor.frame):
             raise InputError(
-                f"a wrench sensor is mounted at link '{sensor.frame}', where the robot's bodies are not split: "
-                "name this link in the robot's cuts"
+                f"a wrench sensor is mounted at link '{sensor.frame}', where the robot's bodies are not divided; add "
+                "this link to `cuts`"
             )
         if not self._loaded_bodies(sensor):
             raise InputError(
-                f"the wrench sensor mounted at link '{sensor.frame}' carries nothing: neither this link nor any link "
-                "after it has a mass in the URDF"
+                f"the wrench sensor mounted at link '{sensor.frame}' has no mass distal to it: neither this link nor "
+                "its subtree has a mass in the URDF"
             )
 
     @property

@@ -261,8 +261,8 @@ class Robot:
         mass = parameters[0]
         if mass <= 0.0:
             raise InputError(
-                f"{self.source}: link '{head}'{merged} weighs {mass:.3g} kg, expected a number greater than zero; "
-                "correct the <inertial> in the URDF"
+                f"{self.source}: link '{head}'{merged} has a mass of {mass:.3g} kg; it must be positive; correct the "
+                " <inertial> in the URDF"
             )
         repaired = pseudo_inertia.nearest_body(parameters)
         change = np.max(np.abs(repaired - parameters)[4:])
@@ -456,7 +456,7 @@ class Robot:
         joint = self._frame(frame).parentJoint
         bodies = [body.name for body in self.bodies if body.joint == joint]
         if not bodies:
-            raise InputError(f"{self.source}: link '{frame}' is fixed to no moving link with a mass")
+            raise InputError(f"{self.source}: link '{frame}' is not part of a moving body with mass")
         return bodies[-1]
 
     def fixed_placement(self, link: str, frame: str) -> FloatArray:
@@ -520,7 +520,7 @@ class Robot:
         if frame not in self.tree.links:
             raise unknown_name("link", frame, self.tree.links)
         if not all(map(self._is_fixed, self.tree.joints_above(frame))):
-            raise InputError(f"{self.source}: link '{frame}' moves against the base, expected one that is fixed to it")
+            raise InputError(f"{self.source}: link '{frame}' moves relative to the base; choose a link fixed to it")
         return self.fixed_placement(frame, self.tree.root)
 
     def with_gravity(self, gravity: FloatArray) -> Robot:

@@ -110,8 +110,8 @@ def shape_prior(
         raise InputError(f"{source}: no link has a shape to compute its inertia from")
     if total_mass <= kept_mass:
         raise InputError(
-            f"{source}: the links whose inertials stay weigh {kept_mass:.3f} kg already, not less than the total mass "
-            f"of {total_mass:g} kg; no mass is left for the links with shapes"
+            f"{source}: links that keep their inertials already have {kept_mass:.3f} kg, at least the total of "
+            f"{total_mass:g} kg; no mass is left for the links with shapes"
         )
     density = (total_mass - kept_mass) / volume
     links = []

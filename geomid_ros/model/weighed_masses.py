@@ -90,11 +90,11 @@ def weighed_rows(model: MeasurementModel, weighed: Sequence[WeighedMass]) -> Wei
         columns = [10 * position for position, body in enumerate(model.identified) if body in bodies]
         unknown = given.mass - _known_mass(model, given, bodies)
         if not columns:
-            raise InputError(f"the mass of {given.name} is given, but none of that is identified")
+            raise InputError(f"the mass of {given.name} is given, but none of these links is identified")
         if unknown <= 0.0:
             raise InputError(
-                f"{given.name} is said to weigh {given.mass:g} kg, but what is not identified of it weighs "
-                f"{given.mass - unknown:g} kg by the URDF"
+                f"{given.name}: weighed mass {given.mass:g} kg is not above the URDF mass {given.mass - unknown:g} kg "
+                "of its links that are not identified"
             )
         rows[index, columns] = 1.0 / given.std
         targets[index] = unknown / given.std
@@ -118,7 +118,7 @@ def _body(robot: Robot, link: str) -> int:
     if carrier is not None:
         raise InputError(
             f"the mass of link '{link}' is given, but it is fixed to '{carrier}' and identified as one body with it: "
-            f"give what they weigh together as {carrier}=MASS:STD"
+            f"give their total mass as {carrier}=MASS:STD"
         )
     raise InputError(
         f"the mass of link '{link}' is given, but it is not identified: it does not move, or has no mass in the URDF"

@@ -125,7 +125,7 @@ def dependence(entry: Unexplained) -> str:
 
 def verdict_sentence(result: GapResult) -> str:
     """State the verdict in one sentence, and the channels that could not be tested in another."""
-    aside = f" Not judged: {_listed(result.unjudged)}; hold out more, or a faster motion." if result.unjudged else ""
+    aside = f" Not tested: {_listed(result.unjudged)}; hold out more, or a faster motion." if result.unjudged else ""
     return _verdict(result) + aside
 
 
@@ -140,7 +140,7 @@ def _verdict(result: GapResult) -> str:
     if result.verdict == "named":
         parts: list[Finding | LinkChange] = [*result.findings, *result.links]
         if not any(part.confidence == "confident" for part in parts):
-            return f"Found: {named}. Nothing of it is sure: the written model is as it was."
+            return f"Found: {named}. None of them is certain; the written model is unchanged."
         return f"Found: {named}. With {'it' if len(parts) == 1 else 'them'}, {_fall(result)}."
     if result.verdict == "incomplete":
         rest = f" A residual remains {missing}." if missing else ""
@@ -155,7 +155,7 @@ def _left(result: GapResult) -> str:
     when = f" while joints move ({overall} with rest and reversals)" if moving != overall else ""
     if worst(result.moving) <= GAP_ABOVE:
         return f"the model explains the measurement to within {moving} times the noise floor{when}"
-    reason = "which the uncertainty of the model, or what it is known to lack, explains"
+    reason = "which the uncertainty of the model, or its known remainder, explains"
     return f"up to {moving} times the noise floor is left{when}, {reason}"
 
 
@@ -177,7 +177,7 @@ def _missing(remainders: Sequence[tuple[str, float, str]]) -> str:
 def common_effects(result: GapResult) -> list[str]:
     """List the effects in the written model that every joint has, in a sentence; empty if there are none."""
     kinds = ", ".join(dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary))
-    return [f"Also written, as every joint has them: {kinds} (values in effects.yaml)."] if kinds else []
+    return [f"Also in the written model, for every joint: {kinds} (values in effects.yaml)."] if kinds else []
 
 
 def summary(result: GapResult) -> list[str]:

@@ -212,7 +212,7 @@ def _predictions(file: EstimateFile) -> list[str]:
         f"Usable to predict efforts and wrenches in similar motions (simulation, feed-forward, contacts). On "
         f"{file.judged_on}, {len(better)} of {len(ratios)} channels are predicted better than by the URDF{span}."
     )
-    judge = "Nothing was held out, so this is no test on new data: give another recording with --validate."
+    judge = "No data were held out, so this is not a test on new data: give another recording with --validate."
     return [sentence, judge] if file.rms.held_out is None else [sentence]
 
 

@@ -229,7 +229,7 @@ class WrittenRobot:
         return states[:, :, 1 + self.dofs], states[:, :, 1 + model.nq + self.dofs], sensed
 
 
-FLOATING_BASE_REASON = "the base floats, and its motion cannot be simulated without its contacts"
+FLOATING_BASE_REASON = "floating base: its motion cannot be simulated without its contacts"
 """Reason why a robot with a floating base is not simulated."""
 
 

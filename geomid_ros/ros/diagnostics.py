@@ -128,7 +128,7 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
         "distance from prior": link.distance_from_prior,
         "min eigenvalue ratio": link.min_eigenvalue_ratio,
         "merged": ", ".join(link.merged),
-        "cannot be told": ", ".join(name for name in QUANTITIES if name not in link.identified),
+        "not identifiable": ", ".join(name for name in QUANTITIES if name not in link.identified),
     }
     message = f"mass {link.mass:.3f} kg"
     if link.outlier:

@@ -74,7 +74,7 @@ PARAMETERS = (
     _not_of_rows(
         "alike",
         "urdf",
-        "links that are alike in the URDF (legs, arms) err mostly alike; none: each by itself",
+        "identical links of the URDF (legs, arms) have correlated errors; none: independent errors",
         choices=_ALIKE,
     ),
     Parameter("links", _NONE, "moving links to identify; empty: all with a mass"),
@@ -85,7 +85,11 @@ PARAMETERS = (
     Parameter(
         "imu.frame", "", "link of an IMU on the base; its messages come on the topic imu and replace odom; empty: none"
     ),
-    Parameter("contacts", _NONE, "feet on the ground, as FRAME or FRAME:RADIUS [m]; efforts of legs tell their forces"),
+    Parameter(
+        "contacts",
+        _NONE,
+        "feet on the ground, as FRAME or FRAME:RADIUS [m]; contact forces are computed from leg efforts",
+    ),
     Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, assumed at zero"),
     Parameter("gravity", [0.0, 0.0, -9.81], "gravity in the base (world) frame [m/s^2]"),
     Parameter("wrenches", _NONE, "names of wrench sensors; each is described under wrench.NAME"),
@@ -103,7 +107,7 @@ PARAMETERS = (
         "gains of motors without torque sensors, as KP:KD or JOINT=KP:KD; efforts are those of the set-points on "
         "joint_commands",
     ),
-    Parameter("command.delay", 0.0, "time until a command acts [s]; what is left of it is identified", -0.5, 0.5),
+    Parameter("command.delay", 0.0, "time until a command acts [s]; the remaining delay is identified", -0.5, 0.5),
     Parameter("motors", _NONE, "joints in the order of the motors in Unitree's LowState and LowCmd (unitree_go)"),
     Parameter("merge_joint_states", False, "joint_states has several publishers, each with some of the joints"),
     Parameter("effort_gain", 1.0, "factor from message efforts to N m (or N); negative reverses the sign", -1e6, 1e6),

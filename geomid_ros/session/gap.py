@@ -129,8 +129,8 @@ def find_gap_in_samples(
     """
     if session.model.legs and session.loaded.situational_effects:
         raise InputError(
-            f"{session.loaded.not_predicted}. On legs that stand, the ground loads the joints, too, and gaps cannot be "
-            "found beside such effects; leave them out of the model"
+            f"{session.loaded.not_predicted}. For a standing legged robot, gaps cannot be found if the model has "
+            "load-dependent effects; leave them out of the model"
         )
     information, deviations = prior_information(session)
     return find_gap(
@@ -199,14 +199,16 @@ def known_remainder_of(session: Session) -> KnownRemainder | None:
     path = Path(source).with_name(POSTERIOR)
     stored = read_remainder(path) if path.is_file() else None
     if stored is None:
-        reason = f"{path}: has no remainder" if path.is_file() else f"{source}: no {POSTERIOR} beside it"
-        session.review.settled.append(f"{reason}: changes are judged without it; identify again from bags to have it")
+        reason = f"{path}: has no remainder" if path.is_file() else f"{source}: no {POSTERIOR} in the same folder"
+        session.review.settled.append(
+            f"{reason}: changes are evaluated without the stored remainder; identify again from bags to store it"
+        )
         return None
     names = tuple(channel.name for channel in session.model.channels)
     if (stored.joints, stored.channels) != (tuple(session.robot.joint_names), names):
         session.review.settled.append(
             f"{path}: its remainder is of {', '.join(stored.channels)}, here {', '.join(names)} are measured; changes "
-            "are judged without it"
+            "are evaluated without the stored remainder"
         )
         return None
     return stored
@@ -310,7 +312,7 @@ class GapReader:
         check_measured(self.session, train, fitted)
         if not any(map(len, held_out)):
             raise InputError(
-                "nothing to judge on: hold out a part of the bags with --hold-out, or name others with --validate"
+                "no held-out data: hold out a part of the bags with --hold-out, or name others with --validate"
             )
         held_out = [samples for samples in held_out if len(samples)]
         return GapSamples(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)

@@ -334,10 +334,10 @@ def read_with_locked(
         session = make(with_locked(configuration, error.lockable))
         result = read(session)
     locked = [joint for joint in session.locked_joints if joint not in configuration["locked_joints"]]
-    if heard := session.received_joints.intersection(locked):
+    if received := session.received_joints.intersection(locked):
         raise InputError(
-            f"joint '{min(heard)}' is missing in the messages of some recordings, or of those of the model, and not of "
-            "others; use those that have it, or name it in the parameter locked_joints (--lock)"
+            f"joint '{min(received)}' is missing in some recordings, or in those of the model, but not in others; use "
+            "those that have it, or name it in the parameter locked_joints (--lock)"
         )
     if locked:
         session.review.settled.append(locked_note(locked))

@@ -141,13 +141,13 @@ def impossible_links(urdf: str, source: str, links: Iterable[LinkEstimate]) -> I
         density = link.mass / volume(solid.moments)
         if density > _DENSEST:
             yield (
-                f"link '{link.name}' weighs {link.mass:.3g} kg, {density:.3g} kg/m^3 in its shape of the URDF, and no "
-                f"material has more than {_DENSEST:.0f}"
+                f"link '{link.name}' has a mass of {link.mass:.3g} kg, i.e. a density of {density:.3g} kg/m^3 in its "
+                f"URDF shape; the densest material has {_DENSEST:.0f}"
             )
             continue
         nominal = inertial_parameters(_element(urdf, source, link.name), source)
         if _is_outside(link.parameters, solid) and not _is_outside(nominal, solid):
-            yield f"link '{link.name}' has mass outside of its shape of the URDF"
+            yield f"link '{link.name}' has mass outside of its URDF shape"
 
 
 def _is_outside(parameters: FloatArray | None, solid: Solid) -> bool:
@@ -238,7 +238,7 @@ class Review:
             accounts: counts of its messages, by topic.
         """
         findings = (*check.findings(continuous=is_continuous(accounts)), *faulty_streams(accounts, {}))
-        self._validated += tuple(f"{name}, which is judged on: {finding.sentence}" for finding in findings)
+        self._validated += tuple(f"{name} (validation bag): {finding.sentence}" for finding in findings)
 
     def forget(self) -> None:
         """Check only the samples to come."""
@@ -373,6 +373,6 @@ class Review:
 def _massless(links: Sequence[str]) -> str:
     listing = f"'{links[0]}'" + (f" (and {len(links) - 1} other links)" if len(links) > 1 else "")
     return (
-        f"{listing} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other "
-        "links; give it an <inertial> ('geomid prior' computes it from shapes)"
+        f"{listing} moves without a mass in the URDF: it is not identified, and its mass is attributed to other links; "
+        "give it an <inertial> ('geomid prior' computes it from shapes)"
     )

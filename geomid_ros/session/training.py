@@ -90,13 +90,13 @@ class TrainingData:
         if legs is not None and not self._stands:
             feet = ", ".join(contact.frame for contact in legs.contacts)
             raise InputError(
-                f"{files}: by their legs' efforts none of the feet {feet} ever stands. If the robot stands, check that "
-                "efforts are in N m (--gain); if it hangs or lies on a stand, leave out --imu and --contacts"
+                f"{files}: leg efforts show no ground contact at feet {feet}. If the robot stands, check that efforts "
+                "are in N m (--gain); if it hangs or lies on a stand, leave out --imu and --contacts"
             )
         if legs is not None and not self._measured:
             raise InputError(
-                f"{files}: at no instant the efforts tell the forces of the ground: not all joints of a leg have "
-                "efforts, or legs are always stretched. Let the driver publish the efforts of all joints"
+                f"{files}: ground reaction forces are not identifiable from the efforts in any sample: not all joints "
+                "of a leg have efforts, or legs are always stretched. Let the driver publish the efforts of all joints"
             )
         if not self._measured:
             channels = ", ".join(channel.name for channel in self._session.model.channels)
@@ -112,7 +112,7 @@ class TrainingData:
         if self._session.robot.floating_base or largest >= self._session.configuration["still_distance"]:
             return ()
         sentence = (
-            f"the robot stands still: no joint moves by more than {largest:.2g} (rad, m), which contains almost no "
+            f"the robot is at rest: no joint moves by more than {largest:.2g} (rad, m), which contains almost no "
             "information"
         )
         return (RecordingFault(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)

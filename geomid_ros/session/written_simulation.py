@@ -149,7 +149,7 @@ def tracking_of(session: Session, written: WrittenModel, bags: Bags, topic: str)
     if find_spec("mujoco") is None:
         raise InputError(f"{_OPTION} simulates in MuJoCo, which is not installed (pip install mujoco)")
     if not bags.holds_out:
-        raise InputError(f"{_OPTION} simulates what is held out, and nothing is: use --hold-out or --validate")
+        raise InputError(f"{_OPTION} simulates held-out data, but none are held out: use --hold-out or --validate")
     paths = [path for path, share in bags.held_out_fractions if share > 0.0]
     sharp = GapReader(session, bags).high_cutoff_samples()
     pairs = [_commanded(session, path, topic, samples) for path, samples in zip(paths, sharp, strict=True)]

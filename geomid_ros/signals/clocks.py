@@ -85,8 +85,8 @@ class RegularClock:
 
 
 SCALED = Reason(
-    "velocities are the positions' derivatives but for a factor: do the stamps run too fast or too slow, or is their "
-    "unit another one? They are not used",
+    "velocities differ from the derivatives of positions by a constant factor; check the clock and the unit of "
+    "velocities; they are not used",
     "told",
 )
 _UNITS_OF_SPEED = (180.0 / np.pi, 1000.0, 30.0 / np.pi, 0.5 / np.pi)  # degrees, mrad, 1/min, turns in a rad/s
@@ -135,7 +135,7 @@ class VelocityCheck:
         return np.asarray((count >= self._FEWEST) & (derived > count * REST_SPEED**2) & (product > 0.0))
 
     def _scaled(self, sums: FloatArray) -> BoolArray:
-        """True for joints whose velocities are the derivatives but for a factor, by sums ``(4, ...)``."""
+        """True for joints whose velocities differ from the derivatives by a factor, from sums ``(4, ...)``."""
         _, given, product, derived = sums
         off: BoolArray = np.abs(product - derived) > self._OFF * derived
         if off.any():
@@ -144,7 +144,7 @@ class VelocityCheck:
 
     @property
     def scaled(self) -> BoolArray:
-        """True for joints whose messages' velocities are the derivatives but for a factor ``(joints,)``."""
+        """True for joints whose velocities differ from the derivatives of positions by a factor ``(joints,)``."""
         return self._scaled(self._sums)
 
     def remark(self) -> Reason | None:

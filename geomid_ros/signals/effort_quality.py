@@ -184,11 +184,11 @@ _FIRST, _MOST = 512, 16384  # messages of a window: a quarter more each time, up
 _SMALL = 0.05  # fraction of messages, and of a range
 _MANY, _OVERFLOWS = 10, 3  # least number of changes, and of overflows in either direction
 _SENTENCES = {
-    "held": "come only every {:.1g} s, and are the same numbers in between",
-    "zero": "fall to exactly zero, and rise again, at once: a dead band, or a drive switched off or braked",
-    "overflow": "jump from one end of their range to the other: their numbers overflow",
-    "copied": "are the same numbers: one of them is a copy",
-    "coarse": "come in steps of a quarter or more of their variation: only what is larger is seen of the motion",
+    "held": "change only every {:.1g} s and repeat the same value in between",
+    "zero": "drop to exactly zero and return abruptly: a dead band, or a drive switched off or braked",
+    "overflow": "jump from one end of their range to the other: integer overflow",
+    "copied": "are identical: one is a copy of another",
+    "coarse": "come in steps of a quarter or more of their variation: smaller changes are not resolved",
 }
 
 

@@ -22,7 +22,7 @@ AHEAD = 5
 
 EARLY = "stamp ahead of its time"
 SPIKE = "is a spike"
-SPIKE_OR_CONTACT = "is a spike, or a contact that messages as slow cannot tell from one"
+SPIKE_OR_CONTACT = "is a spike or a contact; the message rate is too low to distinguish them"
 CLOCK_SET = Reason("clock set: a new segment begins", "told")
 LEAP = driver_error(
     "positions leap farther than joints can move: a simulation was reset, an encoder was frozen or lost its count, or "

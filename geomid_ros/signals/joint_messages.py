@@ -161,7 +161,7 @@ class JointReader:
                 raise RejectedError(missing)
             extra = next((name for name in names if name not in self._joints), None)
             if extra is not None:
-                self._note_once(f"joint '{extra}' is none of the robot's that move by themselves: passed over")
+                self._note_once(f"joint '{extra}' is not an actuated joint of the robot; ignored")
             self._names = names
             self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
         return self._order
@@ -232,7 +232,7 @@ class JointReader:
         for row in np.flatnonzero(lost.any(axis=1)):
             name = self._joints[int(np.argmax(lost[row]))]
             if saturated[row].any():
-                refusals[row] = f"effort of '{name}' saturated: for long the same, and never larger"
+                refusals[row] = f"effort of '{name}' saturated: constant at its largest value"
             elif zeros[row]:
                 refusals[row] = driver_error(f"effort of '{name}' and of all others is zero while the robot moves")
             elif not measured[row].any():

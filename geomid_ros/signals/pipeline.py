@@ -44,7 +44,7 @@ from geomid_ros.types import AnyArray, FloatArray
 
 _DEFAULTS = SignalSettings()
 
-UNDECIDED = "came last, when too few followed to tell whether they are right"
+UNDECIDED = "end of data: too few later messages to validate them"
 
 
 def ignore(*_: object) -> None:

@@ -24,14 +24,14 @@ from geomid_ros.signals.streams import Grid, HeldSegment, JointSegment, PoseSegm
 from geomid_ros.types import BoolArray, IntArray
 
 IN_BURSTS = driver_error(
-    "messages come in bursts: their stamps do not say when they were measured, their numbers in the row "
-    "do; stamp them where they are measured"
+    "messages come in bursts: stamps are times of arrival, not of measurement; times are computed from the order of "
+    "messages; stamp them where they are measured"
 )
 NOW_IN_BURSTS = driver_error(
-    "messages have begun to come in bursts: their stamps do not say when they were measured; stamp them "
-    "where they are measured"
+    "messages have begun to come in bursts: stamps are times of arrival, not of measurement; stamp them where they "
+    "are measured"
 )
-UNEVEN = driver_error("messages come in uneven bursts: nothing says when they were measured")
+UNEVEN = driver_error("messages come in uneven bursts: their times of measurement are unknown")
 _EFFORTS = "joint_states.effort"  # stream of delayed efforts; no topic has this name
 
 

@@ -187,9 +187,7 @@ def _number(word: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(
-            f"'{text}' has '{word}' where a number has to stand; write EFFECT:JOINT=1.5 or EFFECT:JOINT=name=1,name=2"
-        )
+        raise InputError(f"'{text}': '{word}' is not a number; write EFFECT:JOINT=1.5 or EFFECT:JOINT=name=1,name=2")
     return value
 
 

@@ -139,7 +139,7 @@ class WalkOptions(Options):
         stride = 1.0 / (self.rate * LONGEST_STEP)
         if not math.isclose(stride, round(stride)):
             raise InputError(
-                f"rate is {self.rate:g}; it has to be {1.0 / LONGEST_STEP:g} Hz over a whole number, as 250 Hz"
+                f"rate is {self.rate:g}; it must be {1.0 / LONGEST_STEP:g} Hz divided by an integer, e.g. 250 Hz"
             )
 
     @property
@@ -332,4 +332,4 @@ def _joints_at(mujoco: Any, model: Any, data: Any, targets: FloatArray, feet: Se
         for jacobian, foot in zip(jacobians, feet, strict=True):
             mujoco.mj_jacBody(model, data, jacobian, None, model.body(foot).id)
         data.qpos[7:] += np.linalg.lstsq(jacobians.reshape(-1, model.nv)[:, 6:], error.ravel(), rcond=None)[0]
-    raise InputError("the feet do not reach where the gait wants them: the legs are too short")
+    raise InputError("the inverse kinematics has no solution: the gait's foot targets are out of reach")

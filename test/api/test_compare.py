@@ -220,8 +220,8 @@ def test_what_counts_as_exact_or_was_fitted_is_said(halves: tuple[Path, Path], t
     other = changed_copy(halves[1], tmp_path / "other", links=links, rms=rms)
     found = geomid_ros.compare(halves[0], other)
     assert found.notes == [
-        f"{other} says no standard deviations: its links count as exact",
-        f"{other} held nothing out: its errors are of the data that were fitted",
+        f"{other} has no standard deviations; its links are treated as exact",
+        f"{other} has no held-out data; its errors are training errors",
     ]
     assert {error.name: error.second for error in found.errors} == rms["train"]
     (mass,) = (each for each in found.compared.differences if (each.place, each.parameter) == ("link7", "mass"))

@@ -20,7 +20,7 @@ VALUES = {
 }
 
 
-OPEN = {"unmeasured.rms": None}  # not judged
+OPEN = {"unmeasured.rms": None}  # not checked
 
 
 def passed(text: str) -> dict[str, bool | None]:
@@ -55,7 +55,7 @@ def test_every_place_is_judged_as_far_as_it_can_be() -> None:
     rms = {"joint1": {"value": 3.0, "floor": 2.0}, "finger": {"value": 1.0, "floor": math.nan}}
     required = Requirement.parse("rms<2*floor")
     assert [outcome.passed for outcome in required.checked({"rms": rms})] == [True, None]
-    with pytest.raises(InputError, match="nothing to judge"):
+    with pytest.raises(InputError, match="nothing to check"):
         required.checked({"rms": {"finger": rms["finger"]}})
 
 
@@ -76,7 +76,7 @@ def test_every_place_is_judged_as_far_as_it_can_be() -> None:
         ("from_data<urdf", "a number, not"),
         ("joint2.rms<1", "Did you mean 'joint1'"),
         ("total.rms<1", "unknown place 'total'"),
-        ("unmeasured.rms<2*floor", "does not say the floor of 'unmeasured'"),
+        ("unmeasured.rms<2*floor", "the model has no floor for 'unmeasured'"),
     ],
 )
 def test_what_cannot_be_required_is_refused_with_what_can(text: str, told: str) -> None:

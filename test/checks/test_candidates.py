@@ -78,7 +78,7 @@ def test_what_explains_one_joint_worse_is_no_name_but_something_is_wrong() -> No
         if not named:
             (finding,) = contradicted(decision.unconfirmed, COUNT)
             assert (finding.cause.kind, finding.cause.places) == ("unexplained", (of.names[1],))
-            assert finding.cause.sentence.endswith("What comes nearest: it is this")
+            assert finding.cause.sentence.endswith("Closest: it is this")
 
 
 def test_a_joint_that_hardly_carries_anything_says_nothing_of_the_robot() -> None:

@@ -118,7 +118,7 @@ def test_what_is_wrong_with_a_bag_that_is_judged_on_is_a_remark(tmp_path: Path) 
     read_bags(session, Bags(fitted=[ARM3.bag], validate=[wrong]), lambda _: None)
     assert session.review.findings == ()
     (remark,) = session.review.remarks
-    assert remark.startswith("reversed, which is judged on: the efforts of all joints are reversed")
+    assert remark.startswith("reversed (validation bag): the efforts of all joints are reversed")
     alone = Session(sound.urdf, Configuration({}), "arm3.urdf")
     read_bags(alone, Bags(fitted=[wrong]), lambda _: None)
     assert [finding.cause.kind for finding in alone.review.findings] == ["sign"]

@@ -118,7 +118,7 @@ BEFORE = [
 ]
 AFTER = [
     ("arm7", "axis of the URDF", 1, "is not explained"),
-    ("ur10", "parallel drive", 1, "what is left follows the effort of 'elbow_joint'"),
+    ("ur10", "parallel drive", 1, "the residual correlates with the effort of 'elbow_joint'"),
     ("airbot", "axis of the URDF", 1, "'joint2' is not explained"),
 ]
 

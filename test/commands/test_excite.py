@@ -37,7 +37,7 @@ def folder(arm: Path) -> Path:
         "acceleration limits are derived",
         "jerk limits are 10",
         "Smallest distance:",
-        "Expected error of efforts predicted for other motions, in units of the noise:",
+        "Expected RMS prediction error of efforts on other motions, in units of the noise:",
         "trajectory.yaml",
     ):
         assert said in text

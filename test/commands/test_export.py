@@ -102,7 +102,7 @@ def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:
     urdf = BAGS / "arm3.urdf"
     assert "Did you mean 'tool'?" in refused("export", urdf, "--for", "ur", "--frame", "tol")
     assert "unknown link 'grip'" in refused("export", urdf, "--for", "ur", "--frame", "tool", "--links", "tool,grip")
-    assert "'wrist_ft' is no body of its own: it has no mass" in refused(
+    assert "'wrist_ft' is not a separate body: it has no mass" in refused(
         "export", urdf, "--for", "ur", "--frame", "tool", "--links", "wrist_ft"
     )
     assert "cannot be read" in refused("export", tmp_path / "nothing.json", "--for", "mujoco")

@@ -131,16 +131,17 @@ def test_what_has_changed_is_told(first: tuple[Path, str], bags: Path, tmp_path:
     printed = done("fleet", bags, "--urdf", URDF, "--scheduler", NOBODY, "--out", out, "--since", tmp_path)
     (line,) = [line for line in printed.splitlines() if line.strip().startswith("ada ")]
     name, mass = document["links"][2]["name"], read(out / "ada")["links"][2]["mass"]
-    assert f"{name} weighs {mass:.3g} ±" in line
+    assert f"mass of {name} changed by" in line
+    assert f"{-mass:+.3g} ±" in printed
     assert f"{name}: mass {2 * mass:.3g} → {mass:.3g} kg" in printed
     (line,) = [line for line in printed.splitlines() if line.strip().startswith("bob ")]
     assert "→" not in line
-    assert "weighs" not in line
+    assert "changed" not in line
 
 
 def test_an_earlier_run_that_is_not_there_is_refused(bags: Path, tmp_path: Path) -> None:
     arguments = ("fleet", bags, "--urdf", URDF, "--out", tmp_path, "--since", tmp_path / "nowhere")
-    assert "nowhere is no folder; name that of an earlier run" in refused(*arguments)
+    assert "nowhere is not a folder; give the folder of an earlier run" in refused(*arguments)
 
 
 def test_bags_and_what_is_kept_in_object_stores(

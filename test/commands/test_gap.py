@@ -234,9 +234,9 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "too short to say anything": (lambda f: (cut(f, 2.5), "--urdf", URDF), r"cut: too short: .*record half a minute"),
     "without motion": (standing, r"still: no joint moves: record a motion"),
     "without efforts": (without_efforts, r"silent: no effort is measured.*joint1, joint2, joint3"),
-    "nothing to judge on": (
+    "no held-out data": (
         lambda _: (BAGS / "arm3", "--urdf", URDF, "--hold-out", "0"),
-        r"nothing to judge on: hold out.*--hold-out.*--validate",
+        r"no held-out data: hold out.*--hold-out.*--validate",
     ),
     "no such topic of commands": (
         lambda _: (BAGS / "arm3", "--urdf", URDF, "--command", "/cmd"),

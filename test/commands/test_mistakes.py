@@ -244,7 +244,7 @@ SAID: dict[str, tuple[Callable[[Path], Arguments], int, str]] = {
         r"Warning: most of the time no effort is measured at '\w+': it is left out",
     ),
     "12 amperes": (on(joints(effort=lambda e: e / 11.0)), 4, r"DOUBTFUL: .*in A, .*about effort_gain: \d"),
-    "13 standing still": (on(standing), 4, r"DOUBTFUL: the robot stands still: .*record a motion of all joints"),
+    "13 standing still": (on(standing), 4, r"DOUBTFUL: the robot is at rest: .*record a motion of all joints"),
     "a link without a mass": (
         with_text("light.urdf", WITHOUT_A_MASS, BAG, "--urdf"),
         0,

@@ -164,7 +164,11 @@ def test_units_that_cannot_be_right_are_spoken_of(tmp_path: Path) -> None:
         (str, ["--package-path", "x"], "'x' is not of the form NAME=FOLDER"),
         (lambda text: text.replace('<mass value="1"/>', '<mass value="-1"/>'), ["--keep", "upper"], "mass of -1 kg"),
         (lambda text: text.replace('<mass value="1"/>', ""), ["--keep", "upper"], "link 'upper': its <mass> is absent"),
-        (lambda text: text.replace('<mass value="1"/>', '<mass value="9"/>'), ["--keep", "upper"], "9.000 kg already"),
+        (
+            lambda text: text.replace('<mass value="1"/>', '<mass value="9"/>'),
+            ["--keep", "upper"],
+            "already have 9.000 kg",
+        ),
         (lambda text: text.replace("</robot>", ""), [], "its XML cannot be read"),
         (lambda text: text.replace("<box", "<mesh"), [], "the mesh '' was not found"),
         (lambda text: text.replace('child link="fore"', 'child link="four"'), [], "'four', which does not exist"),

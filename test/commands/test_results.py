@@ -111,5 +111,5 @@ def test_an_estimate_without_its_posterior_is_refused(torques: Path, tmp_path: P
     for name in ("estimate.json", "identified.urdf"):
         (tmp_path / name).write_bytes((torques / name).read_bytes())
     message = refused("payload", tmp_path / "estimate.json", BAGS / "arm3")
-    assert f"{tmp_path / 'estimate.json'}: there is no posterior.npz beside it" in message
+    assert f"{tmp_path / 'estimate.json'}: posterior.npz (the uncertainty of the estimate) is missing" in message
     assert "identify again" in message

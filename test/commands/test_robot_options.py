@@ -186,7 +186,7 @@ def test_without_the_package_the_command_is_said(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(urdf, "find_spec", lambda _: None)
     (tmp_path / "robot.urdf.xacro").write_text(XACRO)
     text = refused("identify", BAG, "--urdf", tmp_path / "robot.urdf.xacro", "--xacro-arg", "prefix:=a b")
-    assert re.search(r"this command makes a URDF: xacro \S*robot.urdf.xacro 'prefix:=a b' > robot.urdf", text), text
+    assert re.search(r"convert it to a URDF: xacro \S*robot.urdf.xacro 'prefix:=a b' > robot.urdf", text), text
 
 
 def test_only_a_file_that_is_called_so_is_run(tmp_path: Path) -> None:

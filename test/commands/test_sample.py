@@ -137,8 +137,10 @@ def test_what_is_refused(estimate: Path, tmp_path: Path) -> None:
     for name in ("estimate.json", "identified.urdf"):
         (alone / name).write_text((estimate.parent / name).read_text())
     draw = ("--for", "mujoco", "--out", tmp_path / "out")
-    assert "there is no posterior.npz beside it" in refused("sample", alone / "estimate.json", *draw)
-    assert "no estimate.json" in refused("sample", alone / "identified.urdf", *draw)
+    assert "posterior.npz (the uncertainty of the estimate) is missing in the same folder" in refused(
+        "sample", alone / "estimate.json", *draw
+    )
+    assert "not an estimate.json" in refused("sample", alone / "identified.urdf", *draw)
     (alone / "posterior.npz").write_bytes((estimate.parent / "posterior.npz").read_bytes()[:-100])
     assert "cannot be read" in refused("sample", alone / "estimate.json", *draw)
     assert "into is a file of MuJoCo's" in refused("sample", estimate, "--for", "isaac", "--into", "robot.xml")
@@ -153,4 +155,4 @@ def test_the_posterior_of_another_run_is_refused(estimate: Path, tmp_path: Path)
     document["links"][-1]["com"][0] += 1e-4
     (tmp_path / "estimate.json").write_text(json.dumps(document))
     message = refused("sample", tmp_path / "estimate.json", "--for", "json", "--out", tmp_path / "out")
-    assert "not of the estimate beside it" in message
+    assert "belongs to another estimate than" in message

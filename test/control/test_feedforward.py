@@ -143,7 +143,7 @@ REFUSED = {
     "a joint is missing": (
         lambda t: Trajectory(JOINTS[:2], t.times, t.positions[:, :2], t.velocities[:, :2], t.accelerations[:, :2]),
         {},
-        "says nothing of joint3; if they stand at zero, --lock joint3",
+        "does not contain joint3; if they stay at zero, --lock joint3",
     ),
     "too fast": (lambda t: t.at_speed(40.0), {}, r"joint 'joint\d' would need .* % more than its limit"),
     "no robot": (lambda t: t, {"urdf": None}, "no robot is given: add --model"),
@@ -187,10 +187,10 @@ def test_a_robot_on_its_legs_and_efforts_that_cannot_be_predicted_are_refused(tm
     document = json.loads(estimate.read_text())
     document["channels"].append({"channel": "base/fx", "unit": "N"})
     (tmp_path / "legs.json").write_text(json.dumps(document))
-    with pytest.raises(InputError, match=r"legs\.json: its base floats"):
+    with pytest.raises(InputError, match=r"legs\.json: floating base: leg efforts"):
         geomid_ros.feedforward(motion(), tmp_path / "legs.json", force=True)
     (tmp_path / "identified.urdf").unlink()
-    with pytest.raises(InputError, match=r"estimate\.json: there is no identified\.urdf beside it; add --urdf"):
+    with pytest.raises(InputError, match=r"estimate\.json: identified\.urdf is missing in the same folder; add --urdf"):
         geomid_ros.feedforward(motion(), estimate, force=True)
     sensors = ("/tip:tool:external:fx,fy,fz", "/wrench:wrist_ft:mounted")
     with pytest.raises(InputError, match="efforts cannot be predicted"):

@@ -229,7 +229,7 @@ def test_a_budget_that_is_spent_is_told() -> None:
     assert not fit(problem(case), tolerance=1e-10, max_steps=300).budget_exhausted
     assert fit(problem(case), tolerance=1e-10, max_steps=1).budget_exhausted
     for most, told in ((300, False), (1, True)):
-        assert any("budget of steps" in warning for warning in solved(case, max_steps=most).warnings) == told
+        assert any("ran out of steps" in warning for warning in solved(case, max_steps=most).warnings) == told
 
 
 def test_what_was_fitted_first_is_known_to_its_own_size_at_best() -> None:

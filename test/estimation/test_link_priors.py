@@ -129,7 +129,7 @@ def test_one_leg_tells_of_the_others() -> None:
 
 def test_a_leg_that_was_repaired_is_let_go_and_told() -> None:
     found = identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), True).solve()
-    told = [warning for warning in found.warnings if "same part" in warning]
+    told = [warning for warning in found.warnings if "identical parts" in warning]
     assert len(told) == 1
     assert told[0].startswith("link 'FR_thigh' differs from FL_thigh, RL_thigh, RR_thigh")
     free = identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), False).solve()
@@ -139,7 +139,7 @@ def test_a_leg_that_was_repaired_is_let_go_and_told() -> None:
 
 def test_parts_that_are_alike_are_not_told_as_unlike() -> None:
     found = identifier(THIGHS, ("FL", "FR", "RL", "RR"), True).solve()
-    assert not [warning for warning in found.warnings if "same part" in warning]
+    assert not [warning for warning in found.warnings if "identical parts" in warning]
     every = np.array([masses(found)[name] for name in THIGHS])
     assert np.ptp(every) < 0.05
 
@@ -168,4 +168,4 @@ def test_what_a_file_lacks_makes_no_part_unlike_the_others(monkeypatch: pytest.M
 def test_a_fit_that_does_not_settle_says_so(rounds: int, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coupled_prior, "ROUNDS", rounds)
     estimate = identifier(("RL_thigh",), ("FL", "FR", "RL", "RR"), True).solve()
-    assert any("budget of steps" in warning for warning in estimate.warnings) is told
+    assert any("ran out of steps" in warning for warning in estimate.warnings) is told

@@ -163,5 +163,5 @@ def test_two_robots_are_no_population() -> None:
 def test_a_population_of_other_robots_is_refused() -> None:
     case = typical("arm7", 1).recorded(typical("arm7", 1).robot(1), 1, 2.0)
     renamed = replace(population().part(population().links[:1], population().effects), links=("elsewhere",))
-    with pytest.raises(InputError, match=r"of another type of robot: its links are elsewhere, those of this robot"):
+    with pytest.raises(InputError, match=r"has no link of this robot: its links are elsewhere, the robot's are"):
         solved(case, population=renamed)

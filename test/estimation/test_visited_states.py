@@ -148,7 +148,7 @@ def test_states_of_another_robot_are_refused(shape: tuple[int, ...]) -> None:
     found.add(case.samples)
     memory = found.memory()
     visits = replace(memory.summary.visited, kept=np.zeros(shape))
-    with pytest.raises(InputError, match="states of a motion"):
+    with pytest.raises(InputError, match="states of the motion"):
         found.restore(replace(memory, summary=replace(memory.summary, visited=visits)))
 
 

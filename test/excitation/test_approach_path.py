@@ -64,7 +64,7 @@ def test_a_way_leads_around_what_is_in_between() -> None:
 def test_a_robot_that_is_enclosed_is_not_moved() -> None:
     walls = "box:0.6,0,0.6,1,0.02,1.6", "box:-0.6,0,0.6,1,0.02,1.6"
     found, _ = passage(*walls, "plane:0,0,-1,-1.2")
-    with pytest.raises(InputError, match=r"the approach to the start is not free: \w+ and box:0.6.* collide; move"):
+    with pytest.raises(InputError, match=r"no collision-free approach to the start: \w+ and box:0.6.* collide; move"):
         found.find_postures(HERE, THERE)
 
 
@@ -89,7 +89,7 @@ def test_joints_that_stand_elsewhere_count() -> None:
         if free:
             assert len(found.find_postures(*ends)) == 1
         else:
-            with pytest.raises(InputError, match="not free: fore and box"):
+            with pytest.raises(InputError, match="no collision-free approach to the start: fore and box"):
                 found.find_postures(*ends)
 
 
@@ -98,7 +98,7 @@ def test_postures_that_gravity_forbids_are_not_passed() -> None:
     weak = urdf().replace('effort="60"', 'effort="9"')
     found = ApproachPath(robot(weak), ("j2",), np.zeros(3))
     found.require_clearance(np.array([[0.0], [1.6]]), CLEARANCE)
-    with pytest.raises(InputError, match=r"gravity takes 1\d\d% of the effort limit of joint 'j2'"):
+    with pytest.raises(InputError, match=r"gravity requires 1\d\d% of the effort limit of joint 'j2'"):
         found.find_postures(np.zeros(1), np.array([1.6]))
     strong = ApproachPath(robot(), ("j2",), np.zeros(3))
     assert len(strong.find_postures(np.zeros(1), np.array([1.6]))) == 1

@@ -72,7 +72,7 @@ def test_starts_that_cannot_be() -> None:
     for start, message in (((3.0, 0.0, 0.0), "joint 'j1' is 3, outside"), ((0.0, 1.5, 0.0), "overlap")):
         with pytest.raises(InputError, match=message):
             Feasibility(own.belief, own.limits, np.array(start), own.collision)
-    with pytest.raises(InputError, match="effort limit of joint 'j2'"):
+    with pytest.raises(InputError, match=r"gravity .* requires .* limit of joint 'j2'"):
         small_task(MotionOptions(duration=6.0, start=(0.0, 1.5, 0.0)), urdf().replace('effort="60"', 'effort="8"'))
 
 

@@ -87,10 +87,10 @@ def test_the_criterion_is_the_mean_squared_error_that_it_says(aim: str) -> None:
 
 
 def test_what_is_expected_is_said_honestly() -> None:
-    """A random motion as good as the designed one: the design saves nothing, and twice as long is better."""
+    """A random motion as good as the designed one: the design is no better, and twice as long is better."""
     weight = aim_weight("prediction", KNOWLEDGE, [motion(1)])
     found = expected_learning(KNOWLEDGE, weight, motion(2), [motion(2)])
-    assert any("saves nothing" in sentence for sentence in found.sentences)
+    assert any("the design is no better than a random motion" in sentence for sentence in found.sentences)
     assert any("recording longer helps more than the design" in sentence for sentence in found.sentences)
     assert found.before.error > found.designed.error > found.twice.error
     assert np.all(found.before.links >= found.designed.links - 1e-12)

@@ -111,7 +111,7 @@ def test_a_dead_controller_is_told_within_half_a_second(slow: float, tmp_path: P
         why = watch.check([stuck], PERIOD)
         if why:
             break
-    assert why.startswith("the controller does not follow: joint 'a' should have moved by")
+    assert why.startswith("the controller does not follow: joint 'a' was commanded to move by")
     assert dead < time < dead + 0.5
 
 

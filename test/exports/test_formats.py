@@ -159,5 +159,5 @@ def test_a_link_that_cannot_exist_is_refused(tmp_path: Path) -> None:
     urdf = tmp_path / "flat.urdf"
     inertial = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="3"/></inertial>'
     urdf.write_text(f'<robot name="r"><link name="sheet">{inertial}</link></robot>')
-    with pytest.raises(InputError, match="link 'sheet': it weighs 1 kg, but no body has"):
+    with pytest.raises(InputError, match="link 'sheet': its mass is 1 kg, but its principal moments"):
         each_link(read_model(urdf))

@@ -135,7 +135,7 @@ def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel() -> None:
     (sentence,) = judged.worse
     assert not judged.limited
     assert sentence.startswith("'a' is predicted worse by f.urdf than by the given description: RMS 2 ")
-    assert "so does the estimate" in sentence
+    assert "so does the full estimate" in sentence
     assert "cannot hold" not in sentence, "another format has the same"
     offsets = replace(judged_file(found=1.1), corrected={"a": 0.9, "b": 1.0})
     assert not offsets.worse, "an error of a sensor is no part of the robot"
@@ -149,7 +149,7 @@ def test_what_a_file_cannot_say_casts_no_doubt_on_a_result_that_predicts_better(
     limited = judged_file(found=0.9)
     assert not limited.worse
     (sentence,) = limited.limited
-    assert "RMS 2 instead of 1 (it cannot hold spring of a)" in sentence
+    assert "RMS 2 instead of 1 (it cannot represent spring of a)" in sentence
 
 
 @pytest.mark.parametrize("reader", ["urdf", "mujoco", "drake"])

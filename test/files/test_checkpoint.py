@@ -219,15 +219,17 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "new is 1, here None": lambda d, _: d["meaning"].update(new=1),
     r"new is Stored\(.*, here None": lambda d, _: d["meaning"].update(new=d["memory"]["last_pose"]),
     "0 folds": lambda d, _: rows_of(d).update(factors=[]),
-    "15 folds, expected 16": lambda d, _: rows_of(d)["factors"].pop(),
-    "negative or not finite": lambda d, v: v[rows_of(d)["counts"]["array"]].__imul__(-1.0),
+    "rows have 15 folds": lambda d, _: rows_of(d)["factors"].pop(),
+    "finite and not negative": lambda d, v: v[rows_of(d)["counts"]["array"]].__imul__(-1.0),
     r"counts is .*, expected an array of finite": lambda d, v: v[rows_of(d)["counts"]["array"]].fill(np.nan),
     r"factors\[0\]\[0\] is .*, expected an array of finite": lambda d, v: v[first(d)].__setitem__(3, np.inf),
     "11 numbers are no triangle": lambda d, v: v.update({first(d): np.zeros(11)}),
     "numbers are no triangle": lambda d, _: rows_of(d)["factors"][0][0].update(shape=[2**31, 2**32]),
-    "rows of channel 'joint1' are": lambda d, _: rows_of(d)["factors"][0].__setitem__(0, d["memory"]["last_pose"]),
+    "rows of channel 'joint1' have shape": lambda d, _: rows_of(d)["factors"][0].__setitem__(
+        0, d["memory"]["last_pose"]
+    ),
     "not enough values": lambda d, _: d["memory"]["last_pose"].update(triangle=True),
-    "pose of shape": lambda d, v: (v.update({pose(d): np.zeros(4)}), d["memory"]["last_pose"].update(shape=[4])),
+    "last pose has shape": lambda d, v: (v.update({pose(d): np.zeros(4)}), d["memory"]["last_pose"].update(shape=[4])),
     "an estimate of 3 parameters": lambda d, _: d["warm"].update(parameters=d["memory"]["last_pose"]),
 }
 

@@ -103,9 +103,15 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
         edited(["links", 0, "merged"], ["hand"]),
         "'link3' was identified together with",
     ),
-    "information that is not finite": (edited(["information", "residuals"], NOT_FINITE), "more than any measurement"),
-    "a negative mass": (edited(["links", 0, "mass"], -1.0), "'link3' belongs to no body"),
-    "an impossible inertia": (edited(["links", 0, "inertia", 0], [9.0, 0.0, 0.0]), "'link3' belongs to no body"),
+    "information that is not finite": (
+        edited(["information", "residuals"], NOT_FINITE),
+        "more precise than any measurement",
+    ),
+    "a negative mass": (edited(["links", 0, "mass"], -1.0), "the inertia of link 'link3' is not physically consistent"),
+    "an impossible inertia": (
+        edited(["links", 0, "inertia", 0], [9.0, 0.0, 0.0]),
+        "the inertia of link 'link3' is not physically consistent",
+    ),
     "negative friction": (edited(["effects", 0, "value"], -0.1), "must be positive"),
     "another robot": (of_another_robot, "another robot.*leg_link3.*link1, link2, link3"),
 }

@@ -67,7 +67,7 @@ def test_links_that_have_changed_are_in_it() -> None:
         "loss": 310.0,
         "probability": 0.99,
         "confidence": "confident",
-        "sentence": "link 'hand' weighs 0.74 ± 0.05 kg less than the 1.2 kg of the model",
+        "sentence": "mass of link 'hand' is 0.74 ± 0.05 kg lower than in the model (1.2 kg)",
     }
 
 

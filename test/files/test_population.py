@@ -67,7 +67,7 @@ def _effect(**changes: Any) -> Callable[[dict[str, Any]], None]:
         (lambda document: document.update(format=9), "has format 9, this version reads format 1"),
         (lambda document: document.update(covariance="AAAA"), "covariance is not of its links and effects"),
         (lambda document: document["links"].pop(), "covariance is not of its links and effects"),
-        (lambda document: document["links"][0].update(mass=-1.0), "belongs to no body that can exist"),
+        (lambda document: document["links"][0].update(mass=-1.0), "is not physically consistent"),
         (_effect(value=-1.0), "none that robots can have"),
         (lambda document: document["effects"][1].update(scale=0.0), "none that robots can have"),
         (lambda document: document["effects"].reverse(), "none that robots can have"),

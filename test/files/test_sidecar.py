@@ -97,7 +97,7 @@ def test_what_cannot_be_used_is_named(case: str, tmp_path: Path) -> None:
 def test_an_effect_that_is_said_twice_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "twice.yaml"
     write_sidecar(path, "arm", 2 * [effect("coulomb_friction", "joint1", level=1.0)])
-    with pytest.raises(InputError, match=r"twice.yaml: coulomb_friction is said twice at 'joint1'"):
+    with pytest.raises(InputError, match=r"twice.yaml: coulomb_friction is listed twice at 'joint1'"):
         read_sidecar(path)
 
 

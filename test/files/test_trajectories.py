@@ -126,7 +126,7 @@ def test_a_folder_that_is_no_bag_is_left_as_it_is(tmp_path: Path) -> None:
     """A bag is replaced; results, and names of other kinds of files, are not."""
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "estimate.json").write_text("{}")
-    with pytest.raises(InputError, match="results: is there already and is no bag"):
+    with pytest.raises(InputError, match="results: already exists and is not a bag"):
         save_trajectory(tmp_path / "results", with_efforts())
     assert (tmp_path / "results" / "estimate.json").exists()
     for name in ("x.YML", "x.mcap", ".."):

@@ -269,7 +269,7 @@ class TestRefusals:
         resting = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)
         with pytest.raises(InputError, match="no joint moves"):
             workflow._check(BARE, resting)
-        with pytest.raises(InputError, match="nothing to judge on"):
+        with pytest.raises(InputError, match="no usable held-out data"):
             workflow._check_held_out(BARE, resting)
         one = effects.copy()
         one[:, TRAIN.entries.at(workflow.REST, 1)] = 0.0

@@ -213,7 +213,7 @@ TRAIN, UNSEEN = planted.recording(coulomb, SEED), planted.recording(coulomb, SEE
 
 @pytest.mark.parametrize("unseen", [unmeasured(UNSEEN, range(3)), UNSEEN.select(slice(0, 8))], ids=["nothing", "short"])
 def test_unseen_data_that_judge_nothing_are_refused(unseen: Samples) -> None:
-    with pytest.raises(InputError, match="nothing to judge on"):
+    with pytest.raises(InputError, match="no usable held-out data"):
         find_gap(planted.model(), [TRAIN], [unseen])
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.live.dashboard_state import Diagnosis, state_of
 
-LINK = {"mass": "2", "mass std": "0.1", "from data": "0.5", "merged": "tool", "cannot be told": "com x"}
+LINK = {"mass": "2", "mass std": "0.1", "from data": "0.5", "merged": "tool", "not identifiable": "com x"}
 STREAM = {
     "active": "True",
     "joint_states received": "12",

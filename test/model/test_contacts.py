@@ -190,12 +190,12 @@ def test_a_stretched_leg_says_nothing() -> None:
     ("feet", "sensors", "message"),
     [
         (["FL_fot"], [], "unknown link of a contact 'FL_fot'. Did you mean 'FL_foot'"),
-        (["FL_hip"], [], "1 moving joints are between the base and 'FL_hip', expected at least 3"),
-        (["FL_foot", "FL_calf"], [], "'FL_foot' and 'FL_calf' both move with joint 'FL_hip_joint'"),
+        (["FL_hip"], [], r"the leg of 'FL_hip' has too few joints \(1\): at least 3"),
+        (["FL_foot", "FL_calf"], [], "'FL_foot' and 'FL_calf' share joint 'FL_hip_joint'"),
         (
             ["FL_foot"],
             [WrenchSensor("/foot", "FR_foot", "external")],
-            "contacts and an external wrench sensor, '/foot'",
+            "contacts and an external wrench sensor, '/foot', exclude each other",
         ),
     ],
 )

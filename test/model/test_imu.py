@@ -74,7 +74,9 @@ def test_the_shortest_rotation_of_opposite_vectors_is_half_a_turn() -> None:
     np.testing.assert_allclose(pin.Quaternion(quaternion).matrix() @ -onto, onto, atol=1e-12)
 
 
-@pytest.mark.parametrize(("frame", "message"), [("rada", "unknown link 'rada'"), ("FL_foot", "moves against the base")])
+@pytest.mark.parametrize(
+    ("frame", "message"), [("rada", "unknown link 'rada'"), ("FL_foot", "moves relative to the base")]
+)
 def test_an_imu_is_on_the_base(frame: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Robot(urdf("go2.urdf"), floating_base=True).base_placement(frame)

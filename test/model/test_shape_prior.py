@@ -73,7 +73,7 @@ def test_a_box_of_one_kilogram() -> None:
 
 
 def test_what_stays_may_not_weigh_it_all() -> None:
-    with pytest.raises(InputError, match=r"robot.urdf: .* 3.000 kg already, not less than the total mass of 3 kg"):
+    with pytest.raises(InputError, match=r"robot.urdf: .* already have 3.000 kg, at least the total of 3 kg"):
         shape_prior.shape_prior({"a": NONE, "b": inertial(3.0, 1, 1, 1)}, {"a": box()}, 3.0, "robot.urdf")
 
 

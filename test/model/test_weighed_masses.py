@@ -111,8 +111,8 @@ def test_rows_hold_at_the_truth() -> None:
         ("plate=2:1", None, "it is fixed to 'fore'"),
         ("base=2:1", None, "it does not move, or has no mass in the URDF"),
         ("frame=2:1", None, "it does not move, or has no mass in the URDF"),
-        ("upper=2:1", ["fore"], "the mass of upper is given, but none of that is identified"),
-        ("total=6:1", None, "said to weigh 6 kg, but what is not identified of it weighs 7 kg by the URDF"),
+        ("upper=2:1", ["fore"], "the mass of upper is given, but none of these links is identified"),
+        ("total=6:1", None, "total: weighed mass 6 kg is not above the URDF mass 7 kg of its links"),
     ],
 )
 def test_what_cannot_be_weighed(text: str, links: list[str] | None, message: str) -> None:

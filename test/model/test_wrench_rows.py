@@ -200,7 +200,7 @@ def test_a_mounted_sensor_needs_the_bodies_divided() -> None:
 
 def test_a_mounted_sensor_needs_something_to_carry() -> None:
     robot = Robot(urdf("ur5_robot.urdf"), cuts=["tool0"])
-    with pytest.raises(InputError, match="'tool0' carries nothing"):
+    with pytest.raises(InputError, match="'tool0' has no mass distal to it"):
         MeasurementModel(robot, [], [WrenchSensor("/wrist", "tool0", "mounted")])
 
 

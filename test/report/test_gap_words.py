@@ -66,7 +66,7 @@ def test_links_that_changed_are_named() -> None:
     both = replace(result, links=(change,))
     assert "knee and a change of link 'thigh'. With them, " in verdict_sentence(both)
     first, *_ = summary(both)
-    assert first.startswith("Sure: link 'thigh' weighs 0.5 ± 0.01 kg more"), "its loss is the larger one"
+    assert first.startswith("Sure: mass of link 'thigh' is 0.5 ± 0.01 kg higher"), "its loss is the larger one"
 
 
 def test_of_several_sizes_of_one_kind_the_one_that_is_told_is_said() -> None:
@@ -117,7 +117,7 @@ def test_the_verdict_says_what_it_was_judged_on() -> None:
 
 def test_what_was_not_judged_is_told() -> None:
     result = replace(gap_result("no gap", JOINTS), verdict="incomplete", unjudged=("hip", "knee"))
-    assert verdict_sentence(result).startswith("Found: no effect. Not judged: hip and knee; hold out more")
+    assert verdict_sentence(result).startswith("Found: no effect. Not tested: hip and knee; hold out more")
 
 
 def test_what_is_left_is_part_of_the_verdict() -> None:

@@ -117,7 +117,7 @@ def test_what_cannot_be_simulated_says_why(tmp_path: Path) -> None:
     with pytest.raises(NotSimulatedError, match="cannot be reproduced from the commands"):
         simulated(ok, ok, exact, unrelated)
     floating = MeasurementModel(Robot(ARM, floating_base=True, cuts=["wrist_ft"]), (), MODEL.sensors)
-    with pytest.raises(NotSimulatedError, match="base floats"):
+    with pytest.raises(NotSimulatedError, match="floating base"):
         resimulate_closed_loop(floating, ok, ok, [exact], [exact], noise=noise_example(), cutoff=CUTOFF)
 
 

@@ -219,7 +219,7 @@ def test_what_cannot_be_simulated_says_why(tmp_path: Path) -> None:
     touched = MeasurementModel(Robot(ARM), (), [WrenchSensor("/hand", "tool", "external")])
     still = with_values(data, position=np.zeros_like(data.position))
     for model, given, reason in (
-        (floating, data, "base floats"),
+        (floating, data, "floating base"),
         (touched, data, "external loads"),
         (MODEL, data.select(slice(0, 5)), "too short"),
         (MODEL, still, "no joint"),

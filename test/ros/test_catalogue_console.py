@@ -275,7 +275,7 @@ def test_92_what_hung_is_told_until_there_is_an_estimate(monkeypatch: pytest.Mon
         assert watched.problems[0] == ""
     solving.solves = False  # it hangs in something else, which nobody can end
     watched.restart_hung_threads()
-    assert watched.problems[0] == "the solver hangs, and not in a solve; restart the node"
+    assert watched.problems[0] == "the solver thread hangs outside a solve; restart the node"
     monkeypatch.setattr(Activity, "current", ("", 0.0))  # nor does it for ever
     watched.restart_hung_threads()
     assert not any(watched.problems)
@@ -360,7 +360,9 @@ def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.Monk
     saving.Saving(str(tmp_path)).begin_when_solved(worker, answers.put)
     success, message = answers.get(timeout=30.0)
     assert success == (estimate is not None)
-    expected = "no estimate yet: the first one takes more than" if estimate is None else "it is of 7 rows; one of all"
+    expected = (
+        "no estimate yet: the first one takes more than" if estimate is None else "it uses 7 rows; an estimate from all"
+    )
     assert expected in message
     assert worker.saved == ([] if estimate is None else [estimate])
     with pytest.raises(queue.Empty):

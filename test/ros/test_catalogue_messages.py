@@ -221,7 +221,7 @@ STREAMS = {
     ),
     "11-extra-joints": Stream(
         joints_only(lambda item, _: with_others(item)),
-        ("joint_states: joint 'finger' is none of the robot's that move by themselves: passed over",),
+        ("joint_states: joint 'finger' is not an actuated joint of the robot; ignored",),
         spare=lambda item, *_: item,
     ),
 }

@@ -28,7 +28,7 @@ def test_a_late_and_at_first_unreadable_description(stage: Stage) -> None:
     array = observer.diagnostics(lambda values, _: dropped.items() <= values.items(), "dropped messages")
     assert (array.status[0].level, array.status[0].message) == (DiagnosticStatus.WARN, "no robot description yet")
     talker = observer.node.create_publisher(String, "/robot_description", latched(1))
-    for text, reason in (("no URDF", "its XML cannot be read"), (IMPOSSIBLE, "link 'link2' weighs -1.7 kg")):
+    for text, reason in (("no URDF", "its XML cannot be read"), (IMPOSSIBLE, "link 'link2' has a mass of -1.7 kg")):
         talker.publish(String(data=text))
         array = observer.diagnostics(lambda _, status, reason=reason: reason in status.message, reason)
         assert array.status[0].level == DiagnosticStatus.ERROR
@@ -76,7 +76,7 @@ def test_a_changed_description_waits_for_a_reset(stage: Stage) -> None:
     observer.spin(0.5)
     success, reason = observer.trigger("/geomid/reset")
     assert not success
-    assert "link 'link2' weighs -1.7 kg" in reason
+    assert "link 'link2' has a mass of -1.7 kg" in reason
     assert node.running
     talker.publish(String(data=changed))
     observer.spin(0.5)

@@ -229,7 +229,7 @@ def test_diagnostics(live: Live) -> None:
         assert float(values["mass"]) == pytest.approx(link["mass"], rel=1e-2)  # may be of just before the save
         assert float(values["from data"]) == pytest.approx(link["from_data"], abs=1e-2)
         for key, value in values.items():
-            if key not in ("merged", "cannot be told"):
+            if key not in ("merged", "not identifiable"):
                 float(value)
     assert live.stream["converged"] == "True"
 

@@ -119,5 +119,5 @@ def test_a_posterior_of_another_run_is_refused(live: Session, estimate: Estimate
     own.loaded = replace(own.loaded, posterior=None, source=str(tmp_path / "estimate.json"))
     other = replace(estimate.posterior, parameters=1.01 * estimate.posterior.parameters)
     write_posterior(tmp_path / "posterior.npz", other)
-    with pytest.raises(InputError, match=r"posterior\.npz: not of the estimate beside it, .*estimate\.json; keep"):
+    with pytest.raises(InputError, match=r"posterior\.npz: belongs to another estimate than .*estimate\.json; keep"):
         prior_information(own)

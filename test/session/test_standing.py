@@ -47,7 +47,9 @@ def test_of_other_channels_it_is_not_used_and_that_is_told(beside: Path) -> None
     assert [note.count("effort") + note.count("current") for note in own.review.settled] == [2]
 
 
-@pytest.mark.parametrize(("exists", "told"), [(True, "has no remainder"), (False, "no posterior.npz beside it")])
+@pytest.mark.parametrize(
+    ("exists", "told"), [(True, "has no remainder"), (False, "no posterior.npz in the same folder")]
+)
 def test_that_there_is_none_is_told_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exists: bool, told: str
 ) -> None:
@@ -58,7 +60,7 @@ def test_that_there_is_none_is_told_once(
     assert known_remainder_of(own) is None
     (note,) = own.review.settled
     assert told in note
-    assert "judged without it" in note
+    assert "evaluated without the stored remainder" in note
 
 
 def test_beside_a_description_alone_there_is_nothing_to_tell(tmp_path: Path) -> None:

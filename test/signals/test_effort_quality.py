@@ -53,7 +53,7 @@ def switched_off(effort: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize(
     ("fault", "words"),
-    [(held, "come only every 0.2 s"), (cut, "exactly zero"), (switched_off, "exactly zero")],
+    [(held, "change only every 0.2 s"), (cut, "exactly zero"), (switched_off, "exactly zero")],
 )
 def test_what_is_wrong_with_all_joints(fault: Callable[[FloatArray], FloatArray], words: str) -> None:
     wrong, noted = told(fault(usual()))
@@ -76,7 +76,7 @@ def test_a_copy() -> None:
     effort = usual()
     effort[:, 2] = effort[:, 0]
     (sentence,) = told(effort)[0]
-    assert "'one', 'three' are the same numbers" in sentence
+    assert "'one', 'three' are identical" in sentence
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.05])

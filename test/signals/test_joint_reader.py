@@ -157,7 +157,7 @@ def test_peculiarities_are_noted_once_and_not_without_end() -> None:
             own, message(2 + index, names=names, position=(0.1 * index, 0.0, 0.0), velocity=(), effort=(1.0, 2.0, 3.0))
         )
     assert len(notes) == len(NAMES) + 10
-    assert notes[1] == "joint 'extra 0' is none of the robot's that move by themselves: passed over"
+    assert notes[1] == "joint 'extra 0' is not an actuated joint of the robot; ignored"
 
 
 def test_numbers_below_a_thousand_million_are_plausible() -> None:
@@ -189,4 +189,4 @@ def test_efforts_that_are_held_are_the_driver_s_fault_and_told_once() -> None:
         then = index // 20
         read(own, replace(message(index), effort=(np.sin(0.3 * then), np.cos(0.3 * then))))
     (note,) = notes
-    assert note.startswith("driver error: efforts of all joints come only every 0.2 s")
+    assert note.startswith("driver error: efforts of all joints change only every 0.2 s")

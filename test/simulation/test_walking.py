@@ -90,7 +90,7 @@ def test_without_a_payload_the_trunk_is_that_of_the_urdf() -> None:
     [
         ({"gaits": ("run",)}, "unknown gait 'run'"),
         ({"duration": 1.0}, "duration is 1, expected 4 or more"),
-        ({"rate": 300.0}, "rate is 300; it has to be 1000 Hz over a whole number"),
+        ({"rate": 300.0}, "rate is 300; it must be 1000 Hz divided by an integer"),
         ({"feet": {"FL_foot": 0.022}}, "12 moving joints and 1 feet"),
         ({"imu": "head"}, "unknown link 'head'"),
     ],

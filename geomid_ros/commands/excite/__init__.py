@@ -71,7 +71,7 @@ def _show(design: Excitation) -> None:
         console.print(_effects(design))
     for decision in design.decisions:
         say(console, "Discriminates:" if decision.is_sure else "Does not discriminate:", f" {decision.sentence}")
-    say(console, "Expected error", f" {design.error}:")
+    say(console, "Expected", f" {design.error}:")
     for sentence in design.learning.sentences:
         say(console, "", f"- {sentence}")
 

@@ -236,7 +236,7 @@ class _LearningRounds:
         click.echo(f"\nRound {self.number}: {form.repeats} x {form.period:g} s, in {self.folder}")
         for sentence in designed.task.notes if self.number == 1 else ():
             click.echo(printable(f"Note: {sentence}"))
-        click.echo(f"Expected error {designed.error}: {designed.learning.sentences[0]}")
+        click.echo(f"Expected {designed.error}: {designed.learning.sentences[0]}")
 
     def run(self, designed: Excitation, *, execute: bool) -> None:
         """Print the plan; with ``execute``, move and record.

@@ -281,5 +281,5 @@ def read_sidecar(path: Path) -> Sidecar:
     sidecar = from_document(Sidecar, document, f"{path}:")
     for (name, place), count in Counter((e.effect, e.link or e.joint) for e in sidecar.effects).items():
         if count > 1:
-            raise InputError(f"{path}: {name} is said twice at '{place}'")
+            raise InputError(f"{path}: {name} is listed twice at '{place}'")
     return sidecar

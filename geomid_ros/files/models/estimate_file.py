@@ -299,7 +299,7 @@ class EstimateFile:
         if list(self.information.links) != list(self.inertias):
             raise self._information_error("is on other links than those listed, or in another order")
         if not _can_be_measured(rows, self.inertias) or not np.all(np.isfinite(residuals)):
-            raise self._information_error("on the links is more than any measurement can tell")
+            raise self._information_error("on the links is more precise than any measurement")
         return LinksInformation(rows, residuals)
 
     def _information_error(self, why: str) -> InputError:
@@ -331,7 +331,7 @@ def inertias_of(links: Sequence[LinkEntry], source: str) -> dict[str, FloatArray
         inertias[link.name] = pseudo_inertia.assemble(np.array(link.mass), link.com, link.inertia)
         matrix = pseudo_inertia.from_parameters(inertias[link.name])
         if not np.all(np.isfinite(matrix)) or not np.linalg.eigvalsh(matrix)[0] > 0.0:
-            raise InputError(f"{source}: the inertia of link '{link.name}' belongs to no body that can exist")
+            raise InputError(f"{source}: the inertia of link '{link.name}' is not physically consistent")
     return inertias
 
 

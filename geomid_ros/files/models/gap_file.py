@@ -193,7 +193,7 @@ def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]
     for rival in (rival for finding in findings for rival in finding.rivals):
         effect_class(rival.effect)
     if not findings:
-        raise InputError(f"{path}: no finding has a rival, so that there is nothing to settle")
+        raise InputError(f"{path}: no finding has a rival; nothing to discriminate")
     return findings, {name: value for name, value in (document.floor or {}).items() if np.isfinite(value)}
 
 

@@ -76,7 +76,7 @@ def posterior_path(estimate: Path) -> Path:
     path = estimate.with_name(POSTERIOR)
     if estimate.is_file() and not path.is_file():
         raise InputError(
-            f"{estimate}: there is no {POSTERIOR} beside it, which says how well the robot is known. Only 'geomid "
+            f"{estimate}: {POSTERIOR} (the uncertainty of the estimate) is missing in the same folder. Only 'geomid "
             "identify' writes it: keep its files together in one folder, or identify again"
         )
     return path
@@ -91,11 +91,13 @@ def check_matches_estimate(posterior: Posterior, file: Path, inertias: Mapping[s
     """Raise InputError unless a posterior, read from a ``file``, belongs to the estimate ``source``, which has these
     ``inertias (10,)`` by link."""
     if posterior.links != tuple(inertias):
-        raise InputError(f"{file}: of the links {', '.join(posterior.links)}, and {source} of {', '.join(inertias)}")
+        raise InputError(
+            f"{file}: its links are {', '.join(posterior.links)}, those of {source} are {', '.join(inertias)}"
+        )
     links = posterior.parameters[posterior.manifold.inertial].reshape(-1, 10)
     for link, inertia in zip(links, inertias.values(), strict=True):
         if not np.allclose(link, inertia, rtol=RELATIVE_TOLERANCE, atol=RELATIVE_TOLERANCE * np.max(np.abs(inertia))):
-            raise InputError(f"{file}: not of the estimate beside it, {source}; keep together what one run wrote")
+            raise InputError(f"{file}: belongs to another estimate than {source}; keep the files of one run together")
 
 
 def places_in(posterior: Posterior, model: MeasurementModel) -> IntArray:
@@ -153,7 +155,7 @@ def _unpacked(content: bytes) -> _Arrays:
     with np.load(io.BytesIO(content), allow_pickle=False) as members:
         arrays = dict(members)
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
-        raise InputError("holds what is no array")
+        raise InputError("contains an object that is not an array")
     return arrays
 
 
@@ -173,11 +175,11 @@ def _objection(remainder: KnownRemainder) -> str:
     """Reason why a remainder is invalid; empty if it is valid."""
     knots, scales = remainder.basis.knots, remainder.basis.scales
     if not np.all(knots[:, :, 0] <= knots[:, :, 1]):
-        return "holds a remainder whose ranges cannot be"
+        return "contains a remainder with invalid ranges"
     if not all(np.all((array > 0.0) & (array <= LARGEST_SCALE)) for array in scales):
-        return "holds a remainder whose scales cannot be"
+        return "contains a remainder with invalid scales"
     if not all(np.all(np.isfinite(array)) for array in (knots, *remainder.means, *remainder.triangles)):
-        return "holds a remainder that is not finite"
+        return "contains a remainder that is not finite"
     return ""
 
 
@@ -238,14 +240,14 @@ def _check(posterior: Posterior) -> None:
     for parameters in (posterior.parameters, posterior.prior):
         point = manifold.point(parameters)
         if not (np.all(np.linalg.eigvalsh(point.pseudo_inertias) > 0.0) and np.all(point.positives > 0.0)):
-            raise InputError("holds a body or a coefficient that cannot exist")
+            raise InputError("contains a body that is not physically consistent, or a coefficient that is not positive")
     if not (np.all(posterior.scales > 0.0) and np.all(posterior.prior_stds > 0.0)):
-        raise InputError("holds a scale or a spread that is not greater than zero")
+        raise InputError("contains a scale or a prior standard deviation that is not positive")
     covariance = posterior.covariance
     deviations = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     scaled = covariance / np.outer(deviations, deviations)
     if not np.allclose(scaled, scaled.T, rtol=0.0, atol=ROUNDING) or np.linalg.eigvalsh(scaled)[0] < -ROUNDING:
-        raise InputError("holds a covariance that is not positive semidefinite")
+        raise InputError("contains a covariance that is not positive semidefinite")
 
 
 def _numbers(arrays: _Arrays, name: str, shape: tuple[int, ...], kind: type[np.floating] = np.float64) -> FloatArray:

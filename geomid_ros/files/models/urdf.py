@@ -58,8 +58,8 @@ def urdf_of_xacro(path: Path, arguments: Sequence[str] = ()) -> str:
     if find_spec("xacro") is None:
         command = shlex.join(["xacro", str(path), *arguments])
         raise InputError(
-            f"{path}: a xacro file, of which this command makes a URDF: {command} > robot.urdf (after 'pip install "
-            "xacro', or in a sourced workspace, geomid runs it by itself)"
+            f"{path}: a xacro file; convert it to a URDF: {command} > robot.urdf (after 'pip install xacro', or in a "
+            "sourced workspace, geomid does this itself)"
         )
     return _run_xacro([sys.executable, "-c", "import xacro; xacro.main()", str(path), *arguments], path)
 

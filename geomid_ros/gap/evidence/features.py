@@ -98,7 +98,7 @@ def features(model: MeasurementModel, records: Records, situation: Situation, ch
     block = np.repeat(np.arange(len(names)), [values.shape[1] for values in columns])
     if len(basis.scales[channel]) != len(block):
         raise InputError(
-            f"the model's posterior.npz has {len(basis.scales[channel])} features of what it lacks at "
+            f"the remainder in the model's posterior.npz has {len(basis.scales[channel])} features at "
             f"{model.channels[channel].name}, this version has {len(block)}; identify again"
         )
     return Features(np.concatenate(columns, axis=1) * basis.scales[channel], block, names)

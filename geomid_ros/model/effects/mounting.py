@@ -20,7 +20,7 @@ class GravityTilt(SituationEffect):
     """The base is turned by the rotation vector (c_x, c_y, 0) [rad]: gravity in the base frame is ``R^T g``."""
 
     name = "gravity_tilt"
-    label = "a base that is not level"
+    label = "a tilted base"
     meaning = "gravity in the base frame is R^T g, R the rotation by the vector (tilt_x, tilt_y, 0)"
     parameters = tuple(
         ParameterForm(name, ("rad", "rad"), above=-math.pi, below=math.pi, mjcf="option/gravity") for name in _NAMES

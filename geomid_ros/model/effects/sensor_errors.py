@@ -45,7 +45,7 @@ class EffortGain(SituationEffect):
     """Scale error of an effort sensor: the measured effort is ``(1 + c)`` times the true one."""
 
     name = "effort_gain"
-    label = "a wrong gain of the measured effort"
+    label = "a gain error of the measured effort"
     meaning = "measured effort = gain (true + offset)"
     parameters = (ParameterForm("gain", ("-", "-"), above=0.0),)
     settled_by = "the same motion with a known payload"

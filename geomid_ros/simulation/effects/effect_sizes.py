@@ -290,13 +290,13 @@ def _parameters(request: Hidden, site: Site, rng: np.random.Generator) -> dict[s
 def _check_value(effect: str, name: str, value: float) -> None:
     friction = effect.endswith("friction") and name in ("coefficient", "level", "excess") and value < 0.0
     if friction or (name in _ABOVE_ZERO and value <= 0.0):
-        raise InputError(f"{effect}: {name} is {value:g}; it has to be above 0.")
+        raise InputError(f"{effect}: {name} is {value:g}; it must be above 0.")
     if effect == "load_friction" and value >= 1.0:
-        raise InputError(f"load_friction: {name} is {value:g}; from 1 on nothing moves the joint from behind it.")
+        raise InputError(f"load_friction: {name} is {value:g}; from 1 on the joint cannot be back-driven.")
 
 
 def _check_conflicts(effect: TrueEffect, others: list[TrueEffect]) -> None:
     for other in others:
         duplicate = (other.name, other.joint, other.link) == (effect.name, effect.joint, effect.link)
         if duplicate or (other.joint == effect.joint and {effect.name, other.name} <= {*GEARS}):
-            raise InputError(f"{other.name} and {effect.name} are both asked for at '{effect.joint}'; only one fits.")
+            raise InputError(f"{other.name} and {effect.name} are both requested at '{effect.joint}'; choose one.")
