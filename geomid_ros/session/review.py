@@ -226,7 +226,7 @@ class Review:
     def judge_with(self, judge: RunCheck) -> None:
         """Use ``judge``, for example in another process, instead of :meth:`CheckTask.judge`. Call before
         samples."""
-        self.new_check = partial(self.new_check, judge=judge)
+        self.new_check = partial(self.new_check, run_check=judge)
         self.check = self.new_check()
 
     def judge_validation(self, name: str, check: RecordingCheck, accounts: Mapping[str, Account]) -> None:
