@@ -161,12 +161,12 @@ class CoefficientRows:
         return replace(fit, zero_columns=np.setdiff1d(columns, fit.columns))
 
     def _non_negative_fit(
-        self, columns: IntArray, start: CoefficientFit | None, spreads: FloatArray | None
+        self, columns: IntArray, start: CoefficientFit | None, prior_stds: FloatArray | None
     ) -> CoefficientFit:
         """Fit without the columns whose coefficients would be negative and cannot be."""
-        fit = self._fit(columns, start, spreads)
+        fit = self._fit(columns, start, prior_stds)
         while len(negative := fit.negative):
-            fit = self._fit(np.setdiff1d(fit.columns, negative), fit, spreads)
+            fit = self._fit(np.setdiff1d(fit.columns, negative), fit, prior_stds)
         return fit
 
     def _fit(self, columns: IntArray, start: CoefficientFit | None, given: FloatArray | None) -> CoefficientFit:
@@ -177,22 +177,22 @@ class CoefficientRows:
         )
         links = manifold.inertial
         prior = manifold.point(np.append(problem.prior[links], np.zeros(len(manifold.scales))))
-        point, spreads = prior, default
+        point, prior_stds = prior, default
         if start is not None:
-            point, spreads = manifold.point(start.parameters[columns]), start.fit.scales
+            point, prior_stds = manifold.point(start.parameters[columns]), start.fit.scales
         selected = np.append(columns, self.size)
         products = self.known_products.take(selected, 0).take(selected, 1)
         profile = Profile(manifold, self.products.select(columns), self.counts, prior, self.floors)
 
-        def objective(spreads: FloatArray) -> ProfileObjective:
-            weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
+        def objective(prior_stds: FloatArray) -> ProfileObjective:
+            weights = np.append(np.repeat(prior_stds, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
             return ProfileObjective(profile, weights, products)
 
         def likely(point: Point, hessian: FloatArray, _: FloatArray) -> FloatArray:
             variances = definite.variances(hessian, links.stop)
             return reestimated_prior_stds(manifold.log(prior, point)[links], variances, default)
 
-        result = fit_scales(objective, point, spreads if given is None else given, likely if given is None else None)
+        result = fit_scales(objective, point, prior_stds if given is None else given, likely if given is None else None)
         return CoefficientFit(self, columns, result)
 
 
@@ -238,8 +238,8 @@ class CoefficientFit:
         """Minus twice the log marginal likelihood."""
         links = self.fit.objective.manifold.inertial
         volume = definite.log_determinant(self.fit.hessian[links, links])
-        spreads = self.fit.scales
-        width = 20.0 * float(np.sum(np.log(spreads))) + prior_std_cost(spreads, self.rows.problem.default_stds)
+        prior_stds = self.fit.scales
+        width = 20.0 * float(np.sum(np.log(prior_stds))) + prior_std_cost(prior_stds, self.rows.problem.default_stds)
         return 2.0 * self.fit.evaluation.value + volume + width
 
     @cached_property

@@ -107,7 +107,7 @@ class Fit:
     @property
     def assumed_prior_stds(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error, tangent coordinates."""
-        return _every_spread(self.problem, self.prior_stds)
+        return _all_prior_stds(self.problem, self.prior_stds)
 
     @cached_property
     def _rough(self) -> ProductsObjective:
@@ -200,29 +200,29 @@ def with_second_start(solve: Callable[..., Fit], other: Point, prior_stds: Float
     return best
 
 
-def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ProductsObjective:
+def _rough(problem: Problem, sigmas: FloatArray, prior_stds: FloatArray) -> ProductsObjective:
     """Build the objective for this noise and these prior stds of the links; the search for both uses it."""
     precisions = sigmas**-2.0
     products = problem.products.weighed(precisions)
     measured = float(precisions @ problem.row_weights)
-    weights = _prior_weights(problem, spreads, measured)
+    weights = _prior_weights(problem, prior_stds, measured)
     rows = measured + problem.known_weight
     return ProductsObjective(problem.manifold, products, problem.prior_point, weights, rows, problem.known_products)
 
 
-def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> FloatArray:
+def _prior_weights(problem: Problem, prior_stds: FloatArray, measured: float) -> FloatArray:
     """Weights ``(D,)`` of the squared distance to the prior; ``measured``: weight of the measured rows."""
-    prior_std = _every_spread(problem, spreads)
+    prior_std = _all_prior_stds(problem, prior_stds)
     if problem.gamma is not None:
         return np.asarray(problem.gamma * measured * (DEFAULT_PRIOR_STD / prior_std) ** 2)
     # All rows enter the objective, but only a fraction is independent: prior and weighed masses count more in return.
     return np.asarray(prior_std**-2.0 / problem.independent_fraction)
 
 
-def _every_spread(problem: Problem, spreads: FloatArray) -> FloatArray:
+def _all_prior_stds(problem: Problem, prior_stds: FloatArray) -> FloatArray:
     """Prior std ``(D,)`` of all coordinates, for these prior stds of the links."""
     all_stds = problem.prior_stds.copy()
-    all_stds[problem.manifold.inertial] = np.repeat(spreads, 10)
+    all_stds[problem.manifold.inertial] = np.repeat(prior_stds, 10)
     return all_stds
 
 
@@ -232,10 +232,10 @@ def _gradient(objective: ResidualObjective | ProductsObjective, tolerance: float
     return max(tolerance * min(float(np.min(objective.prior_weights)) / objective.scale, 1.0), LEAST_GRADIENT)
 
 
-def _objective(problem: Problem, measured: tuple[FloatArray, FloatArray], spreads: FloatArray) -> ResidualObjective:
+def _objective(problem: Problem, measured: tuple[FloatArray, FloatArray], prior_stds: FloatArray) -> ResidualObjective:
     """Build the objective for these rows and these prior stds of the links."""
     manifold, prior = problem.manifold, problem.prior_point
-    weights = _prior_weights(problem, spreads, _measured_weight(problem, measured))
+    weights = _prior_weights(problem, prior_stds, _measured_weight(problem, measured))
     factor = np.sqrt(max(1.0, 1.0 / problem.independent_fraction))
     rows = np.concatenate([measured[0], factor * problem.known.rows])
     targets = np.concatenate([measured[1], factor * problem.known.targets])

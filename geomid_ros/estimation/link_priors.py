@@ -31,10 +31,10 @@ from geomid_ros.types import FloatArray
 
 def common_prior_stds(parts: Sequence[AlikeParts], default_stds: FloatArray) -> FloatArray:
     """Prior std of each link alone ``(links,)``; the ``default_stds (links,)`` ones are for its total error."""
-    spreads = default_stds.copy()
+    prior_stds = default_stds.copy()
     for group in parts:
-        spreads[list(group.members)] *= np.sqrt(len(group.members))
-    return spreads
+        prior_stds[list(group.members)] *= np.sqrt(len(group.members))
+    return prior_stds
 
 
 def deviation_from_common(parts: Sequence[AlikeParts], individual_stds: FloatArray, values: FloatArray) -> FloatArray:
@@ -88,11 +88,11 @@ class AlikePrior(CoupledPrior):
     @staticmethod
     def of(parts: Sequence[AlikeParts], problem: Problem) -> AlikePrior:
         """Build the prior of a problem whose links have the URDF's prior."""
-        spreads, columns = (
+        prior_stds, columns = (
             common_prior_stds(parts, problem.default_stds),
             np.arange(len(problem.model.nominal_inertias)),
         )
-        return AlikePrior(replace(problem, given_stds=spreads), columns, parts)
+        return AlikePrior(replace(problem, given_stds=prior_stds), columns, parts)
 
     @cached_property
     def manifold(self) -> ParameterManifold:
@@ -174,8 +174,8 @@ class PopulationPrior(CoupledPrior):
         columns = np.array([*places, *effects])
         given = np.full(model.dimension, np.nan)
         given[columns] = subset.parameters
-        spreads = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.default_stds)
-        return PopulationPrior(replace(problem, given_parameters=given, given_stds=spreads), columns, subset)
+        prior_stds = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.default_stds)
+        return PopulationPrior(replace(problem, given_parameters=given, given_stds=prior_stds), columns, subset)
 
     @property
     def manifold(self) -> ParameterManifold:
@@ -203,10 +203,10 @@ class PopulationPrior(CoupledPrior):
 
     def root(self, weights: Mapping[str, float]) -> FloatArray:
         """Information ``(k, k)`` of the population beyond the problem's separate prior."""
-        spreads = self._own.copy()
+        prior_stds = self._own.copy()
         for name, block in self.population.blocks.items():
-            spreads[block] *= weights[name] ** 0.5
-        return np.asarray(beyond_prior(self.population.covariance, spreads) / self._own)
+            prior_stds[block] *= weights[name] ** 0.5
+        return np.asarray(beyond_prior(self.population.covariance, prior_stds) / self._own)
 
     @property
     def freedom(self) -> float:

@@ -93,9 +93,9 @@ class Problem:
     @cached_property
     def prior_stds(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error, tangent coordinates, before the links' are fitted."""
-        spreads = prior_stds_of(self.model, self.manifold, self.given_parameters)
-        spreads[self.manifold.inertial] = np.repeat(self.default_stds, 10)
-        return spreads
+        stds = prior_stds_of(self.model, self.manifold, self.given_parameters)
+        stds[self.manifold.inertial] = np.repeat(self.default_stds, 10)
+        return stds
 
     @cached_property
     def prior(self) -> FloatArray:

@@ -76,17 +76,17 @@ def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> Floa
 
 def default_prior_stds(manifold: ParameterManifold) -> FloatArray:
     """Default prior std ``(D,)``, in tangent coordinates."""
-    spreads = np.full(manifold.dimension, DEFAULT_PRIOR_STD)
-    spreads[manifold.positive] = 1.0
-    return spreads
+    stds = np.full(manifold.dimension, DEFAULT_PRIOR_STD)
+    stds[manifold.positive] = 1.0
+    return stds
 
 
 def prior_stds_of(model: MeasurementModel, manifold: ParameterManifold, given: FloatArray | None) -> FloatArray:
     """Default prior std ``(D,)``; coefficients that are expected to be about zero have their effect's."""
-    spreads = default_prior_stds(manifold)
+    stds = default_prior_stds(manifold)
     expected = _expected_shares(model, given)
-    spreads[manifold.inertial.stop :] = np.where(np.isnan(expected), spreads[manifold.inertial.stop :], expected)
-    return spreads
+    stds[manifold.inertial.stop :] = np.where(np.isnan(expected), stds[manifold.inertial.stop :], expected)
+    return stds
 
 
 def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> FloatArray:

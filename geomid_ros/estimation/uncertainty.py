@@ -120,11 +120,11 @@ def estimate_uncertainty(
     factors = np.max(inflations, axis=0)
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
-    spreads = np.maximum(estimated_prior_stds(independent, from_prior, groups), assumed_prior_stds)
+    stds = np.maximum(estimated_prior_stds(independent, from_prior, groups), assumed_prior_stds)
     parts = measured.information, trust, known.information
-    noise, inherited = error_covariance(inverse, *parts, factors, weights * spreads)
+    noise, inherited = error_covariance(inverse, *parts, factors, weights * stds)
     covariance = noise + inherited
-    prior = information_inverse(np.zeros_like(covariance) + expected, spreads**-2.0)
+    prior = information_inverse(np.zeros_like(covariance) + expected, stds**-2.0)
     by_rows = np.maximum(1.0 / np.diag(inverse) - weights, 0.0) / factors
     return Uncertainty(covariance, inherited, prior, share, by_rows)
 
@@ -144,7 +144,7 @@ def error_covariance(
 ) -> tuple[FloatArray, FloatArray]:
     """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``: rows' and prior's part.
 
-    With ``W = 1 / spreads^2``, and all factors and trust 1, they add up to ``H^-1``, the Bayesian posterior.
+    With ``W = 1 / stds^2``, and all factors and trust 1, they add up to ``H^-1``, the Bayesian posterior.
 
     Args:
         inverse: ``(D, D)`` of H, which is ``measured + trust known + W``.
@@ -241,12 +241,14 @@ def estimated_prior_stds(rows: Fold, from_prior: FloatArray, groups: Sequence[Pa
     extrapolation, stds, log_stds = Extrapolation(), usual, np.log(usual)
     for _ in range(_ROUNDS):
         # In units of the prior std, in which the prior's part is the identity.
-        spreads = np.exp(log_stds)[member]
-        scaled = np.outer(spreads, spreads) * rows.information
+        parameter_stds = np.exp(log_stds)[member]
+        scaled = np.outer(parameter_stds, parameter_stds) * rows.information
         prior_part = _prior_part(scaled)
-        posterior = definite.inverse(scaled + prior_part * np.eye(len(spreads)))
+        posterior = definite.inverse(scaled + prior_part * np.eye(len(parameter_stds)))
         # Not as information times distance, of which rounding would leave little.
-        moved = from_prior - spreads * (posterior @ (prior_part * from_prior / spreads - spreads * rows.gradient))
+        moved = from_prior - parameter_stds * (
+            posterior @ (prior_part * from_prior / parameter_stds - parameter_stds * rows.gradient)
+        )
         determined = np.clip(1.0 - np.diag(posterior), 0.0, 1.0)
         # The default prior std counts as much as one direction that the data determine.
         squares = np.bincount(member, moved**2, len(groups)) + usual**2

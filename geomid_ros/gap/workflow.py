@@ -34,11 +34,11 @@ CUTOFF = 8.0
 """Cutoff of the low-pass on the workflow's samples [Hz], where the recording's rate allows it."""
 
 
-_SPREAD_OF_IDENTIFIED = 0.05  # of a link's inertia: replaces USUAL_SPREAD, which is that of a URDF
-_SPREAD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
+_STD_OF_IDENTIFIED = 0.05  # of a link's inertia: replaces USUAL_SPREAD, which is that of a URDF
+_STD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
 _LEAST_SHARE = 0.01  # fraction of the measurement: smaller coefficients are not known more accurately
 _CERTAINTY_OF_IDENTIFIED = 100.0  # an identified model is hardly ever as wrong as a URDF
-_LEAST_SPREAD = 1e-3
+_LEAST_STD = 1e-3
 
 
 def find_gap(
@@ -244,14 +244,14 @@ def _prior(
     coefficients = np.nan_to_num(values[size:])
     present = np.flatnonzero(coefficients)
     strengths = coefficients[present]
-    changes = np.maximum(_SPREAD_OF_EFFECTS * np.abs(strengths), _LEAST_SPREAD)
+    changes = np.maximum(_STD_OF_EFFECTS * np.abs(strengths), _LEAST_STD)
     if known is not None and len(known.changes):
         known = known.of_coefficients(present, changes)
     terms = tuple(_term(model.coefficients[place]) for place in present)
     identified = bool(np.any(np.isfinite(values[:size])))
     return Prior(
         inertias=inertias,
-        prior_std=_SPREAD_OF_IDENTIFIED if identified else DEFAULT_PRIOR_STD,
+        prior_std=_STD_OF_IDENTIFIED if identified else DEFAULT_PRIOR_STD,
         terms=terms,
         values=strengths,
         prior_stds=np.maximum(changes, stds[present]),
@@ -274,7 +274,7 @@ def _with_other_effects(
     if not others:
         return prior, []
     situation = LinearisedProblem(model, records, total_model(model, fit_of_prior(prior))).situation
-    candidates, values, spreads = [], list(prior.values), list(prior.prior_stds)
+    candidates, values, prior_stds = [], list(prior.values), list(prior.prior_stds)
     for effect in others:
         cls, numbers = effect_class(effect.effect), values_of(effect)
         place = model.places.named(cls(), effect.joint)
@@ -283,9 +283,9 @@ def _with_other_effects(
         candidates.append((candidate, effect))
         sizes = [coefficients[term.effect][term.index] for term in candidate.terms]
         values += sizes
-        spreads += [max(_SPREAD_OF_EFFECTS, _relative_std(candidate, effect)) * abs(value) for value in sizes]
+        prior_stds += [max(_STD_OF_EFFECTS, _relative_std(candidate, effect)) * abs(value) for value in sizes]
     terms = chain.from_iterable(candidate.terms for candidate, _ in candidates)
-    extended = replace(prior, terms=(*prior.terms, *terms), values=np.array(values), prior_stds=np.array(spreads))
+    extended = replace(prior, terms=(*prior.terms, *terms), values=np.array(values), prior_stds=np.array(prior_stds))
     return extended, candidates
 
 
@@ -318,9 +318,15 @@ def _as_simulated(
     likely = analyse(model, records, prior.without_other_recordings, report).likely
     inertias = total_model(model, likely).inertias[list(model.identified)].ravel()
     values = np.array([likely.value(term) for term in likely.terms])
-    spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(values), _LEAST_SPREAD)
+    prior_stds = np.maximum(_STD_OF_EFFECTS * np.abs(values), _LEAST_STD)
     return replace(
-        prior, inertias=inertias, terms=likely.terms, values=values, prior_stds=spreads, other_recordings=None, alike=()
+        prior,
+        inertias=inertias,
+        terms=likely.terms,
+        values=values,
+        prior_stds=prior_stds,
+        other_recordings=None,
+        alike=(),
     )
 
 

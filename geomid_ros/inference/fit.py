@@ -164,12 +164,12 @@ def _fit(
     prior: Prior[Term],
     chosen: Sequence[Chosen],
     start: JointFit[Chosen, Term] | None,
-    spread: float | FloatArray | None = None,
+    prior_std: float | FloatArray | None = None,
 ) -> JointFit[Chosen, Term]:
     """Return the minimum reached from the start, with the prior's constraints at zero."""
-    free = _free_fit(design, prior, chosen, start, spread)
+    free = _free_fit(design, prior, chosen, start, prior_std)
     rows = prior.constraints(free.terms, free.point.reals)
-    return _free_fit(design, prior, chosen, free, spread, rows) if len(rows) else free
+    return _free_fit(design, prior, chosen, free, prior_std, rows) if len(rows) else free
 
 
 def _free_fit(
@@ -177,7 +177,7 @@ def _free_fit(
     prior: Prior[Term],
     chosen: Sequence[Chosen],
     start: JointFit[Chosen, Term] | None,
-    spread: float | FloatArray | None,
+    prior_std: float | FloatArray | None,
     constraints: FloatArray | None = None,
 ) -> JointFit[Chosen, Term]:
     """Return the minimum reached from the start; ``constraints``: rows ``(r, terms)`` of coefficients fixed at zero."""
@@ -201,16 +201,16 @@ def _free_fit(
     zero = _constraint_rows(constraints, manifold, prior_point)
     earlier, zeros = (_products(manifold.offset_rows(prior_point, own[:, :-1]), own[:, -1]) for own in (rows, zero))
     from_scratch = start is None or set(bodies) != set(start.bodies)
-    fixed = spread is not None
+    fixed = prior_std is not None
     inflation = 1.0 if fixed or start is None else start.inflation
-    spreads = np.full(payloads_at // 10, prior.link_prior_stds if spread is None else spread)
+    link_stds = np.full(payloads_at // 10, prior.link_prior_stds if prior_std is None else prior_std)
     if start is not None and not (fixed or from_scratch):
-        spreads = start.prior_stds
+        link_stds = start.prior_stds
     profile = Profile(manifold, products, design.counts, prior_point, design.floors)
     point = _first_point(manifold, prior_point, None if from_scratch else start, bodies, terms)
 
-    own_spreads = prior.separate_prior_stds if start is None else start.separate_prior_stds
-    ends = [len(spreads), len(spreads) + 1]
+    individual_stds = prior.separate_prior_stds if start is None else start.separate_prior_stds
+    ends = [len(link_stds), len(link_stds) + 1]
 
     def objective(prior_scales: FloatArray) -> ProfileObjective:
         links, inflation, individual = np.split(prior_scales, ends)
@@ -220,19 +220,22 @@ def _free_fit(
 
     def likely(point: Point, hessian: FloatArray, previous: FloatArray) -> FloatArray:
         tangent, root = manifold.log(prior_point, point)[:payloads_at], definite.roots(hessian, payloads_at)
-        spreads = reestimated_prior_stds(tangent, np.sum(root**2, axis=1), prior.link_prior_stds, prior.certainty)
+        link_stds = reestimated_prior_stds(tangent, np.sum(root**2, axis=1), prior.link_prior_stds, prior.certainty)
         individual = reestimated_individual_stds(prior.alike, np.split(previous, ends)[2], tangent, root)
-        return np.concatenate([spreads, [priors.inflation_of(rows, manifold, point, prior_point, root)], individual])
+        return np.concatenate([link_stds, [priors.inflation_of(rows, manifold, point, prior_point, root)], individual])
 
-    begin = np.concatenate([spreads, [inflation], own_spreads])
+    begin = np.concatenate([link_stds, [inflation], individual_stds])
     if from_scratch and bodies:
         point = priors.centred_payloads(objective(begin), point, len(bodies))
     solution = fit_scales(objective, point, begin, None if fixed else likely)
-    spreads, (inflation,), own_spreads = np.split(solution.scales, ends)
+    link_stds, (inflation,), individual_stds = np.split(solution.scales, ends)
     point = solution.point
-    score = solution.score + design.cost + prior_std_cost(spreads, prior.link_prior_stds, prior.certainty)
+    score = solution.score + design.cost + prior_std_cost(link_stds, prior.link_prior_stds, prior.certainty)
     score += (
-        cost + priors.cost_of_inflation(rows, inflation) + prior.cost + individual_std_cost(prior.alike, own_spreads)
+        cost
+        + priors.cost_of_inflation(rows, inflation)
+        + prior.cost
+        + individual_std_cost(prior.alike, individual_stds)
     )
     score += sum(c.cost for c in chosen)
     places = {term: place for place, term in enumerate(terms)}
@@ -252,9 +255,9 @@ def _free_fit(
         squares=profile.squares(point),
         packed=Packed.of(solution.hessian),
         weights=solution.objective.weights,
-        prior_stds=spreads,
+        prior_stds=link_stds,
         inflation=inflation,
-        separate_prior_stds=own_spreads,
+        separate_prior_stds=individual_stds,
         changes=changes,
     )
 
@@ -272,7 +275,7 @@ def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: Paramete
         return np.zeros((0, manifold.dimension + 1)), 0.0
     named = {term for c in chosen for term in c.terms}
     triples = zip(prior.terms, prior.prior_stds.tolist(), prior.other_recordings.changes, strict=False)
-    others = {place: spread for place, (term, spread, _) in enumerate(triples) if term in named}
+    others = {place: prior_std for place, (term, prior_std, _) in enumerate(triples) if term in named}
     return prior.other_recordings.present_rows(manifold.dimension, int(manifold.real.start), others)
 
 

@@ -24,7 +24,7 @@ PAYLOAD_PRIOR_STD = 3.0
 _PAYLOAD_MASS = 0.2  # fraction of the mean link mass
 _PAYLOAD_SIZE = 0.1  # [m]
 _CENTRINGS = 5
-_SPREAD_OF_CHANGED = 0.5  # prior standard deviation of a changed link, a geodesic distance
+_STD_OF_CHANGED = 0.5  # prior standard deviation of a changed link, a geodesic distance
 _CERTAINTY = 4.0
 """Weight, in rows, of the prior that other recordings are as exact as they state."""
 
@@ -138,17 +138,17 @@ class Prior(Generic[Term]):
         rows[:, self.other_recordings.links :] *= self.prior_stds[:count]
         variances = np.diag(np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1])))[self.other_recordings.links :]
         earlier = np.append(np.sqrt(variances) * self.prior_stds[:count], self.prior_stds[count:])
-        spreads = np.hypot(earlier, np.append(self.other_recordings.changes, np.zeros(len(earlier) - count)))
-        return replace(self, other_recordings=None, prior_stds=spreads)
+        prior_stds = np.hypot(earlier, np.append(self.other_recordings.changes, np.zeros(len(earlier) - count)))
+        return replace(self, other_recordings=None, prior_stds=prior_stds)
 
     @property
     def link_prior_stds(self) -> FloatArray:
         """Prior standard deviation of each link's error ``(links,)``, sqrt(n) times larger for n links that are
         alike."""
-        spreads = common_prior_stds(self.alike, np.full(len(self.inertias) // 10, self.prior_std))
+        prior_stds = common_prior_stds(self.alike, np.full(len(self.inertias) // 10, self.prior_std))
         if self.changed_link is not None:
-            spreads[self.changed_link] = _SPREAD_OF_CHANGED
-        return spreads
+            prior_stds[self.changed_link] = _STD_OF_CHANGED
+        return prior_stds
 
     @property
     def separate_prior_stds(self) -> FloatArray:

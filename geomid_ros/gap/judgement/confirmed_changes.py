@@ -16,7 +16,7 @@ from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPri
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.records import Records, TotalModel
 from geomid_ros.gap.judgement import sentences
-from geomid_ros.gap.judgement.verdict import probability_by_size, widened_by_remainder, with_given_spreads
+from geomid_ros.gap.judgement.verdict import probability_by_size, widened_by_remainder, with_given_stds
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.geometry.definite import Packed
 from geomid_ros.inference.design import Design
@@ -153,15 +153,15 @@ class _Refit:
         ordinary: Sequence[Candidate],
         start: EffectsFit,
     ) -> EffectsFit:
-        names, spreads = self.analysis.effects, self.analysis.search.prior.link_prior_stds
+        names, prior_stds = self.analysis.effects, self.analysis.search.prior.link_prior_stds
         prior = _with_ordinary(_as_given(self.analysis.search.prior, named), problem, named, ordinary)
         if not self.analysis.search.prior.identified:
-            result = scattered(design, fit(design, prior, named, start, spreads))
+            result = scattered(design, fit(design, prior, named, start, prior_stds))
             return replace(result, chosen=(*named, *ordinary))
         held = self.held
         tight = np.where(held, _UNCHANGED * prior.prior_std, names.prior_stds)
-        result = scattered(design, fit(design, with_given_spreads(prior, names.inflation), named, start, tight))
-        free = fit(design, with_given_spreads(prior, 1.0), named, result, np.where(held, spreads, names.prior_stds))
+        result = scattered(design, fit(design, with_given_stds(prior, names.inflation), named, start, tight))
+        free = fit(design, with_given_stds(prior, 1.0), named, result, np.where(held, prior_stds, names.prior_stds))
         return _as_uncertain(result, free)
 
 
@@ -185,12 +185,12 @@ def _with_ordinary(
     named_terms = {term for candidate in named for term in candidate.terms}
     terms = tuple(term for candidate in ordinary for term in candidate.terms if term not in named_terms)
     sizes = problem.typical_sizes(terms)
-    spreads = DEFAULT_PRIOR_STD * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # any, if zero
+    prior_stds = DEFAULT_PRIOR_STD * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # any, if zero
     return replace(
         prior,
         terms=(*prior.terms, *terms),
         values=np.append(prior.values, np.zeros(len(terms))),
-        prior_stds=np.append(prior.prior_stds, spreads),
+        prior_stds=np.append(prior.prior_stds, prior_stds),
     )
 
 

@@ -171,7 +171,7 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
     names, search = analysis.effects, analysis.search
     covariance = scattered(search.design, names).covariance
     nominal, stds = search.prior.inertias.reshape(-1, 10), np.sqrt(np.diag(covariance))
-    prior = with_given_spreads(search.prior, names.inflation)
+    prior = with_given_stds(search.prior, names.inflation)
     free = fit(search.design, prior, names.chosen, names, names.prior_stds).score
     for link, was in enumerate(nominal):
         change = names.inertias[link] - was
@@ -188,9 +188,9 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
             centre = _centre(change, covariance[rows, rows])
         if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # no link has more mass than the robot, nor has a payload
             continue
-        spreads = names.prior_stds.copy()
-        spreads[link] = _HELD * search.prior.prior_std
-        loss = fit(search.design, prior, names.chosen, names, spreads).score - free
+        prior_stds = names.prior_stds.copy()
+        prior_stds[link] = _HELD * search.prior.prior_std
+        loss = fit(search.design, prior, names.chosen, names, prior_stds).score - free
         # The link may have changed without its mass.
         odds_against = np.exp(-0.5 * min(loss, float(np.max(deviations**2)), 1e3)) / ODDS
         odds_against += analysis.contested if link == search.prior.changed_link else 0.0
@@ -218,7 +218,7 @@ def _centre(change: FloatArray, covariance: FloatArray) -> dict[str, Quantity]:
     return {axis: Quantity(float(value), float(std), "m") for axis, value, std in zip("xyz", centre, stds, strict=True)}
 
 
-def with_given_spreads(prior: EffectsPrior, inflation: float) -> EffectsPrior:
+def with_given_stds(prior: EffectsPrior, inflation: float) -> EffectsPrior:
     """Return a prior for comparing the scores of fits with given prior std: these cost nothing, and other recordings
     keep the trust that the fit found."""
     return replace(
