@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions(DescriptionOptions):
-    """Which robot it is, what is measured on it, and how that is read.
+    """Robot, measured topics, and how they are read.
 
     Attributes:
         urdf: robot description, URDF or .xacro. [default: robot_description in the bags]
@@ -48,7 +48,7 @@ class RobotOptions(DescriptionOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingOptions(RobotOptions):
-    """The same, and where to start from, what to judge on, and who reads the result.
+    """Options of a robot, and start, test data and reader of an identification.
 
     Attributes:
         model: start from this estimate.json. Without --urdf, identified.urdf in the same folder is used.
@@ -66,7 +66,7 @@ class RecordingOptions(RobotOptions):
 
 @dataclass(frozen=True)
 class FittedBags(Options):
-    """Recordings.
+    """Recordings to fit.
 
     Attributes:
         bags: rosbag folders, folders of them, or .mcap and .db3 files.
@@ -77,7 +77,7 @@ class FittedBags(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyOptions(RecordingOptions, FittedBags):
-    """What to identify.
+    """Parameters to identify.
 
     Attributes:
         effects: effects to identify at every place. [default: see the reference]
@@ -96,7 +96,7 @@ class IdentifyOptions(RecordingOptions, FittedBags):
 
 @dataclass(frozen=True, kw_only=True)
 class GapOptions(RecordingOptions, FittedBags):
-    """What to compare with.
+    """Reference of the gap workflow.
 
     Attributes:
         simulated: recording of your simulator under the commands of a bag; one for each of BAGS, in their order.
@@ -107,7 +107,7 @@ class GapOptions(RecordingOptions, FittedBags):
 
 @dataclass(frozen=True)
 class PayloadBags(Options):
-    """Recordings of a payload.
+    """Recordings without and with a payload.
 
     Attributes:
         empty: rosbag folders, or .mcap and .db3 files, without the payload; or the estimate.json of an earlier
@@ -121,7 +121,7 @@ class PayloadBags(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadOptions(RobotOptions, PayloadBags):
-    """Where a payload is carried.
+    """Place of a payload, and trust in the efforts.
 
     Attributes:
         frame: link that is the flange. [default: payload.frame, or the last moving link]
@@ -148,7 +148,7 @@ class PredictedBags(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class VerifyOptions(RobotOptions, PredictedBags):
-    """What is required of a model.
+    """Requirements on a model.
 
     Attributes:
         require: requirement, such as rms<2*floor, joint2.rms<1.5, rms<0.5*urdf, total.mass>20, link3.mass<1.1*urdf,
@@ -160,11 +160,11 @@ class VerifyOptions(RobotOptions, PredictedBags):
 
 @dataclass(frozen=True)
 class ComparedResults(Options):
-    """Two results.
+    """Two results to compare.
 
     Attributes:
         first: an estimate.json, or a URDF if the other is none.
-        second: the same.
+        second: an estimate.json, or a URDF if the other is none.
     """
 
     first: PathLike
@@ -173,7 +173,7 @@ class ComparedResults(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions(RobotOptions, ComparedResults):
-    """What both results are judged on.
+    """Test data for both results.
 
     Attributes:
         bag: bag that both models predict. [default: the held-out data of each]
@@ -184,7 +184,7 @@ class CompareOptions(RobotOptions, ComparedResults):
 
 @dataclass(frozen=True)
 class FleetBags(Options):
-    """Recordings of many robots, and where results go.
+    """Recordings of many robots, and the output folder.
 
     Attributes:
         bags: a folder with a folder of bags for each robot, a pattern, or a table (.csv) with the columns ``robot`` and
@@ -198,7 +198,7 @@ class FleetBags(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class FleetOptions(RobotOptions, FleetBags):
-    """Which bags are of which robots, and who reads them.
+    """Assignment of bags to robots, and the workers that read them.
 
     Attributes:
         by: column of the table that names the robot.
@@ -217,7 +217,7 @@ class FleetOptions(RobotOptions, FleetBags):
 
 @dataclass(frozen=True, kw_only=True)
 class FillOptions(DescriptionOptions):
-    """How exact the efforts of a trajectory are.
+    """Accuracy of the efforts of a trajectory.
 
     Attributes:
         urdf: robot description, URDF or .xacro. [default: identified.urdf in the folder of the model]
@@ -245,7 +245,7 @@ class GivenTrajectory(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class FeedforwardOptions(FillOptions, GivenTrajectory):
-    """Which trajectory, and how exact its efforts are.
+    """Trajectory in a bag, and accuracy of its efforts.
 
     Attributes:
         topic: topic of the trajectory, if TRAJECTORY is a bag with several.
@@ -256,11 +256,11 @@ class FeedforwardOptions(FillOptions, GivenTrajectory):
 
 @dataclass(frozen=True)
 class ExportOptions(PackageOptions):
-    """A payload to export, or how.
+    """Payload or robot to export, and its format.
 
     Attributes:
         model: an estimate.json with its identified.urdf in the same folder, or a URDF.
-        tool: who is to read it: ur, franka, urdf, moveit, isaac, gazebo, drake or mujoco.
+        tool: software that reads it: ur, franka, urdf, moveit, isaac, gazebo, drake or mujoco.
         frame: the flange: the payload is this link and all links after it, in its axes. [default: for ur and franka
             the one link whose name ends with tool0 or link8]
         links: the payload is these links.
@@ -282,11 +282,11 @@ class ExportOptions(PackageOptions):
 
 @dataclass(frozen=True)
 class SampleOptions(PackageOptions):
-    """Which robots to draw.
+    """Robots to sample.
 
     Attributes:
         model: an estimate.json with the identified.urdf and the posterior.npz of the same run in its folder.
-        tool: who is to read them: urdf, moveit, isaac, gazebo, drake, mujoco or json.
+        tool: software that reads them: urdf, moveit, isaac, gazebo, drake, mujoco or json.
         count: number of robots.
         into: for mujoco: write this file with each robot's numbers for the bodies and joints of the same names; the
             rest is unchanged.

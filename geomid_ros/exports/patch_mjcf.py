@@ -17,7 +17,7 @@ from geomid_ros.files.models.effects_file import joint_attributes, payload_name
 from geomid_ros.files.models.mjcf import with_identified
 from geomid_ros.files.models.urdf import joint_frames
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.urdf_tree import MOST_BYTES
+from geomid_ros.model.urdf_tree import MOST_URDF_BYTES
 from geomid_ros.resimulation.written_robot import BodyFrames, body_frames
 from geomid_ros.types import FloatArray
 
@@ -81,7 +81,7 @@ def read_user_mjcf(model: ExportModel, path: Path) -> UserMjcf:
     Raises:
         InputError: it has none of the bodies, or its axes are not where the URDF has them.
     """
-    text, frames = read_text(path, "MJCF", MOST_BYTES), body_frames(path)
+    text, frames = read_text(path, "MJCF", MOST_URDF_BYTES), body_frames(path)
     links = model.estimated or tuple(model.bodies)
     bodies = [name for name in links if name in frames.bodies]
     if not bodies:

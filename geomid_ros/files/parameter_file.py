@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.limits import JointLimits
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.schema import MOST_ENTRIES
-from geomid_ros.model.urdf_tree import MOST_BYTES
+from geomid_ros.model.urdf_tree import MOST_URDF_BYTES
 
 
 class _Loader(yaml.SafeLoader):
@@ -54,7 +54,7 @@ for _kind, _form, _beginnings in (
 
 def read_yaml(path: Path, what: str) -> Any:
     """Content of a YAML file; ``what`` names it in messages. Raises InputError naming the file."""
-    text = read_text(path, what, MOST_BYTES)  # a parameter may contain a robot description
+    text = read_text(path, what, MOST_URDF_BYTES)  # a parameter may contain a robot description
     try:
         return yaml.load(text, _Loader)  # noqa: S506 it is a safe loader
     except Exception as error:  # the parser raises many types of errors

@@ -17,7 +17,7 @@ Verdict: TypeAlias = Literal["no gap", "named", "incomplete", "unexplained"]
 
 SURE, LIKELY = 0.95, 0.5
 """Least probabilities of a sure and of a tentative named effect. A less likely one is kept if rivals make up for it,
-see :attr:`RecordingFault.is_likely`."""
+see :attr:`Finding.is_likely`."""
 
 
 def confidence_of(probability: float) -> Confidence:

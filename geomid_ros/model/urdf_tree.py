@@ -19,7 +19,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 
-MOST_BYTES = 5_000_000
+MOST_URDF_BYTES = 5_000_000
 """Size limit of a robot description."""
 
 _MAX_NESTING = 64
@@ -132,8 +132,8 @@ def tree(robot: Element, source: str) -> UrdfTree:
 
 def read_xml(text: str, source: str) -> Element:
     """Return the ``<robot>`` element of a URDF. Raises InputError naming ``source``."""
-    if len(text.encode(errors="replace")) > MOST_BYTES:
-        raise InputError(f"{source}: larger than {MOST_BYTES // 1_000_000} MB, not a robot description")
+    if len(text.encode(errors="replace")) > MOST_URDF_BYTES:
+        raise InputError(f"{source}: larger than {MOST_URDF_BYTES // 1_000_000} MB, not a robot description")
     try:
         parser = DefusedXMLParser(target=_Builder(), forbid_dtd=True)
         parser.feed(text)

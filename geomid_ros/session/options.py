@@ -38,7 +38,7 @@ def texts(given: Texts) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class DescriptionOptions(Options):
-    """Which robot it is.
+    """Description of a robot.
 
     ``urdf`` may be the text of a description, too; without it, the identified.urdf beside a model is taken, or the
     description in the bags. ``config`` may be parameters by their full names; the other options win over it.
@@ -64,7 +64,7 @@ class DescriptionOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class PackageOptions(Options):
-    """Where meshes are.
+    """Location of meshes.
 
     Attributes:
         package_path: folder of package://NAME, if not above the URDF, in ROS_PACKAGE_PATH or in AMENT_PREFIX_PATH.
@@ -75,7 +75,7 @@ class PackageOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings(PackageOptions):
-    """What a robot must not touch.
+    """Obstacles and clearance.
 
     Attributes:
         avoid: obstacle: box:X,Y,Z,LENGTH,WIDTH,HEIGHT (X,Y,Z is its centre), plane:NX,NY,NZ,OFFSET (solid below) or a
@@ -91,7 +91,7 @@ class Surroundings(PackageOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class MotionOptions(Surroundings, DescriptionOptions):
-    """What a motion is asked for.
+    """Options of an exciting motion.
 
     Attributes:
         wrench: wrench sensor that will be recorded, too; ROLE is mounted or external.
@@ -121,7 +121,7 @@ class MotionOptions(Surroundings, DescriptionOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Surroundings):
-    """Who moves the robot, what it must not touch, and what stops it.
+    """Controller of the robot, and limits that stop it.
 
     Attributes:
         controller: controller that follows the motion.

@@ -14,11 +14,13 @@ import pytest
 from files.recordings import BAGS
 
 import geomid_ros
-from geomid_ros.api.options import IdentifyOptions, PayloadOptions, RobotOptions
+from geomid_ros.api.options import FleetOptions, IdentifyOptions, PayloadOptions, RecordingOptions, RobotOptions
 from geomid_ros.api.robot import configuration
 from geomid_ros.commands.root import root
+from geomid_ros.options import explained
 from geomid_ros.session.configuration import find_parameter
 from geomid_ros.session.options import MotionOptions
+from geomid_ros.session.recordings import HELD_OUT
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 # What a command does with a result, which in Python are the result's methods; and what a function alone is told.
@@ -134,3 +136,8 @@ def test_the_ends_of_a_range_belong_to_it_unless_they_are_open() -> None:
     PayloadOptions(BAG, BAG, gain_std=0.0)
     with pytest.raises(geomid_ros.InputError, match="gain_std is 1, expected 0 <= gain_std < 1"):
         PayloadOptions(BAG, BAG, gain_std=1.0)
+
+
+@pytest.mark.parametrize("options", [RecordingOptions, FleetOptions])
+def test_the_help_states_the_default_share_that_is_held_out(options: type) -> None:
+    assert f"[default: {HELD_OUT:g}" in explained(options)["hold_out"]

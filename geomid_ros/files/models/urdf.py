@@ -24,7 +24,7 @@ from geomid_ros.files.models.effects_file import is_payload, joint_attributes, p
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
-from geomid_ros.model.urdf_tree import MOST_BYTES, origin_of, read_numbers, read_xml
+from geomid_ros.model.urdf_tree import MOST_URDF_BYTES, origin_of, read_numbers, read_xml
 from geomid_ros.signals.settings import LONGEST_REASON
 from geomid_ros.types import FloatArray
 
@@ -35,7 +35,7 @@ _MEMORY = 2_000_000_000  # memory limit of xacro [bytes]
 
 def read_urdf(path: Path) -> str:
     """Read the text of a URDF file, with its line ends. Raises InputError naming it."""
-    return read_text(path, "robot description", MOST_BYTES)
+    return read_text(path, "robot description", MOST_URDF_BYTES)
 
 
 def urdf_of_xacro(path: Path, arguments: Sequence[str] = ()) -> str:
@@ -79,7 +79,7 @@ def _run_xacro(command: Sequence[str], path: Path) -> str:
         except subprocess.TimeoutExpired as error:
             raise InputError(f"{path}: xacro takes longer than {_SECONDS} s") from error
         out.seek(0), errors.seek(0)
-        text, output = out.read(MOST_BYTES + 1), errors.read(MOST_BYTES)
+        text, output = out.read(MOST_URDF_BYTES + 1), errors.read(MOST_URDF_BYTES)
     if status != 0:
         last = " ".join(output.decode(errors="replace").split())[-LONGEST_REASON:]
         raise InputError(f"{path}: xacro cannot make a URDF of it ({last or status}); is an --xacro-arg missing?")
@@ -89,7 +89,7 @@ def _run_xacro(command: Sequence[str], path: Path) -> str:
 def _bounds() -> None:
     """Limit memory and file size of the process."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_BYTES + 1, MOST_BYTES + 1))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_URDF_BYTES + 1, MOST_URDF_BYTES + 1))
 
 
 def with_inertials(urdf: str, inertias: Mapping[str, FloatArray], removed: Sequence[str] = ()) -> str:
