@@ -92,7 +92,7 @@ def session(**parameters: Any) -> Session:
     return Session(read_urdf(BAGS / "arm3.urdf"), Configuration(parameters), "arm3.urdf")
 
 
-@pytest.mark.parametrize(("merge", "why"), [(False, "joint 'joint3' is missing"), (True, "a part of the joints")])
+@pytest.mark.parametrize(("merge", "why"), [(False, "joint 'joint3' is missing"), (True, "only some joints")])
 def test_a_message_that_cannot_be_predicted_is_told_once(
     merge: bool, why: str, identification: geomid_ros.Identification
 ) -> None:
@@ -107,7 +107,7 @@ def test_a_message_that_cannot_be_predicted_is_told_once(
     assert why in said
 
 
-@pytest.mark.parametrize(("floating", "why"), [(True, "how the base moves"), (False, "external wrenches")])
+@pytest.mark.parametrize(("floating", "why"), [(True, "the motion of the base"), (False, "external wrenches")])
 @pytest.mark.parametrize("subscribers", [0, 1])
 def test_a_robot_that_cannot_be_predicted_is_told_who_subscribes(
     floating: bool, why: str, subscribers: int, identification: geomid_ros.Identification

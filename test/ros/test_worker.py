@@ -48,14 +48,14 @@ class Watched(Listener):
         self.session = Session(read_urdf(BAGS / "arm3.urdf"), Configuration({**NO_CHOICE, **parameters}), "arm3.urdf")
         self.estimates: queue.Queue[Estimate] = queue.Queue()
         self.samples = 0
-        self.on_estimate: Any = self.estimates.put
+        self.publish: Any = self.estimates.put
         self.worker = Worker(self.session, solve_period, self)
 
     def on_samples(self, session: Session, samples: Samples, estimate: Estimate) -> None:  # noqa: ARG002
         self.samples += len(samples)
 
     def on_estimate(self, session: Session, estimate: Estimate) -> None:  # noqa: ARG002
-        self.on_estimate(estimate)
+        self.publish(estimate)
 
     def close(self) -> None:
         self.worker.close()
@@ -119,11 +119,11 @@ def test_an_error_while_publishing_costs_no_thread(busy: Watched) -> None:
     def fail(_: Estimate) -> None:
         raise RuntimeError("nobody listens")
 
-    busy.on_estimate = fail
+    busy.publish = fail
     busy.feed(0, 400)
     assert str(busy.final()) == "nobody listens"
     assert busy.worker.solver.problem == "no estimate: nobody listens"
-    busy.on_estimate = busy.estimates.put
+    busy.publish = busy.estimates.put
     busy.feed(400)
     assert isinstance(busy.final(), Estimate)
     assert busy.worker.status(active=True).warnings == ()

@@ -61,7 +61,7 @@ def run(
         check_writable(out)
     ros = ros_runs()
     robot = description(DescriptionOptions(urdf), []) if urdf else None
-    order = ros.Order(
+    order = ros.MotionRequest(
         motion=read_trajectory(trajectory),
         source=str(trajectory),
         speed=speed,
@@ -245,7 +245,7 @@ class _LearningRounds:
         robot must be inspected before it moves again.
         """
         ros = ros_runs()
-        order = ros.Order(
+        order = ros.MotionRequest(
             motion=designed.trajectory,
             source=str(self.folder / "trajectory.yaml"),
             speed=1.0,
