@@ -52,6 +52,7 @@ SHARED = ("errors", "types", "options")  # with the simulator
 KEPT_IN = {"coal": ("model",), "pinocchio": ("model",), "mujoco": ("simulation", "resimulation"), "rclpy": ("ros",)}
 COMPUTED = "(computed)"  # a name that is known only when the program runs: the player's message types
 MOST_POSITIONAL = 6
+FRAGMENTS = ("What", "Whether", "Of", "Those", "How", "Which", "That")
 ROS_SUFFIXES = ("_msgs", "_srvs", "_interfaces")
 
 
@@ -246,3 +247,22 @@ def test_no_call_leaves_the_meaning_of_many_arguments_to_their_order() -> None:
             if isinstance(call, ast.Call):
                 in_order = sum(not isinstance(argument, ast.Starred) for argument in call.args)
                 assert in_order <= MOST_POSITIONAL, f"{module}, line {call.lineno}: {ast.unparse(call.func)}"
+
+
+def definitions(module: Path) -> Iterator[ast.Module | ast.ClassDef | ast.FunctionDef]:
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    return (node for node in ast.walk(tree_of(module)) if isinstance(node, kinds))
+
+
+def test_no_two_public_classes_share_a_name() -> None:
+    names = [node.name for path in MODULES.values() for node in definitions(path) if isinstance(node, ast.ClassDef)]
+    twice = {name for name in names if names.count(name) > 1 and not name.startswith("_")}
+    assert not twice
+
+
+def test_a_docstring_begins_with_the_thing_or_with_what_is_done() -> None:
+    """Not with a genitive or an indirect question, which nobody finds by searching."""
+    for module, path in MODULES.items():
+        for node in definitions(path):
+            words = (ast.get_docstring(node) or "").split()
+            assert words[:1] not in ([word] for word in FRAGMENTS), f"{module}: {' '.join(words[:8])}"
