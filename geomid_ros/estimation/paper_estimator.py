@@ -84,7 +84,7 @@ def solve_rows(
             such objective or solver.
 
     >>> found = solve_rows(np.eye(1, 10), np.array([2.5]), 0.1, [[2, 0, 0, 0, 1, 0, 1, 0, 0, 1]])
-    >>> 2.4 < found.parameters[0, 0] < 2.5  # a mass of 2 kg was expected, 2.5 kg measured
+    >>> bool(2.4 < found.parameters[0, 0] < 2.5)  # a mass of 2 kg was expected, 2.5 kg measured
     True
     """
     rows, targets = np.asarray(rows, dtype=np.float64), np.asarray(targets, dtype=np.float64)

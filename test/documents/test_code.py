@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import importlib.util
 import json
 import re
@@ -19,6 +20,7 @@ import yaml
 
 import geomid_ros
 from geomid_ros.commands.root import root
+from geomid_ros.estimation import paper_estimator
 from geomid_ros.session.configuration import PARAMETERS, Configuration
 from geomid_ros.simulation import EFFECTS, NOTHING, parse_hidden
 
@@ -192,3 +194,9 @@ def test_the_notebook_runs_and_finds_the_truth() -> None:
     assert all(after < before for before, after in improved)
     assert sum("image/png" in output.get("data", {}) for cell in fresh for output in cell["outputs"]) == 1
     assert len(cells()) == len(fresh) == 6
+
+
+def test_the_example_in_a_docstring_runs() -> None:
+    failed, attempted = doctest.testmod(paper_estimator)
+    assert attempted
+    assert not failed
