@@ -103,7 +103,7 @@ def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
 
 
 def _without_unbelieved(fit: CoefficientFit) -> CoefficientFit:
-    """Remove the optional effects that are not significant, the least significant first."""
+    """Remove the optional effects that are implausible or not significant, the least significant first."""
     while len(fit.chosen_columns):
         squares = fit.is_plausible * fit.squares_of(fit.chosen_columns)
         if np.min(squares) > SIGNIFICANT_STDS**2:
