@@ -35,7 +35,7 @@ its joints are as likely as not."""
 CLEARLY = 12.0
 """Difference of minus twice a logarithm that occurs by chance once in four hundred."""
 _EXACT = 1e-5  # standard deviation of a sum fixed at zero, relative to the friction: far less than that of any rows
-_OF_COUPLED = 0.05  # fraction of these for coupled joints: most joints have separate motors
+_OF_COUPLED = 0.05  # fraction of the odds, for coupled joints: most joints have separate motors
 
 
 def library_columns(model: MeasurementModel) -> tuple[Column, ...]:
@@ -202,7 +202,7 @@ def passivity_constraints(terms: Sequence[EffectTerm], values: FloatArray) -> Fl
     depend on the past: their extrapolation to standstill can have the wrong sign. It makes a simulator shake.
 
     Args:
-        terms: of the coefficients.
+        terms: terms of the coefficients.
         values: the coefficients ``(k,)``; zero for those that are left out.
 
     Returns:
