@@ -52,10 +52,10 @@ class CandidateFit:
     def of_corrected(
         corrected: EffortData, units: FloatArray, found: Evidence | None = None, **estimated: FloatArray
     ) -> CandidateFit:
-        """Evaluate a corrected subject.
+        """Evaluate corrected data.
 
         Args:
-            of_corrected: with the candidate undone.
+            corrected: with the candidate undone.
             units: ``(C,)`` one standard deviation of the measured numbers, in its efforts.
             found: its evidence in these units, by default without further unknowns.
             **estimated: see :class:`CandidateFit`.
