@@ -73,7 +73,7 @@ class FaultCandidate:
         channels: the channels that it changes, all by default.
         corrected: reads a subject with the candidate undone; also ranks the candidates of a row.
         fit_corrected: evaluates a subject with the candidate undone, where another reading is not enough.
-        sizes: ``(C,)`` factors on efforts then.
+        sizes: ``(C,)`` sizes of the factors on efforts that undo it.
         sources: ``(C,)`` the measured channel of each evaluated one.
         may_be_named: True if it may be named; otherwise it only explains what others would be named for.
         needs_no_evidence: True if other knowledge than the evidence settles it.

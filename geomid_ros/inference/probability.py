@@ -62,9 +62,9 @@ class Supports(Generic[Chosen, Term]):
         """Return the support of one hypothesis.
 
         Its absence is scored with a remainder estimated anew: what a free curve explains as well is no evidence for an
-        effect. The adjusted loss is at most that of its size, by the ratio of posterior and prior density at zero
-        (Dickey, "The weighted likelihood ratio", 1971). Its standard deviations are from the scatter between blocks of
-        time. Losses with rivals shrink by the same factor. Prior odds are corrected by how common such hypotheses are.
+        effect. The adjusted loss is at most that of its size: the ratio of posterior and prior density at zero (Dickey,
+        "The weighted likelihood ratio", 1971), with standard deviations from the scatter between blocks of time. Losses
+        with rivals shrink by the same factor. Prior odds are corrected by how common such hypotheses are on this robot.
         """
         loss, worth, common = self.loss(candidate), self.adjusted_loss(candidate), self._common(candidate)
         rivals = self._rivals(self._selection.without(self._found, candidate), candidate)
