@@ -56,7 +56,7 @@ class CandidateFit:
 
         Args:
             corrected: with the candidate undone.
-            units: ``(C,)`` one standard deviation of the measured numbers, in its efforts.
+            units: ``(C,)`` one standard deviation of the measured numbers, in units of the corrected efforts.
             found: its evidence in these units, by default without further unknowns.
             **estimated: see :class:`CandidateFit`.
         """
@@ -134,7 +134,7 @@ class CandidateTest:
 
     @property
     def is_accepted(self) -> bool:
-        """True if it repeats and explains no channel worse, or is settled."""
+        """True if it repeats and makes no channel much worse, or needs no evidence."""
         if self.candidate.needs_no_evidence:
             return True
         better = self.channel_gains[self.candidate.channels]

@@ -29,7 +29,7 @@ _FLOOR = np.finfo(float).tiny
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """Fit of links of any mass to a wrench: log evidence per sample, ``sigmas (2,)`` of the residuals of force and
-    torque, as fractions, and the slope of the links' forces over the URDF's."""
+    torque, as fractions of their RMS, and the slope of the links' forces over the URDF's."""
 
     log: float
     sigmas: FloatArray

@@ -115,7 +115,7 @@ class Candidate:
 
     @cached_property
     def prior_std(self) -> tuple[float, ...]:
-        """Prior stds of the coefficients about their known values; 0 for a fraction of the measurement."""
+        """Prior stds of the coefficients about their known values; 0: a default fraction of the measurement."""
         return tuple(
             term.effect.default_prior_std[term.index] if term.effect.default_prior_std else 0.0 for term in self.terms
         )
