@@ -218,8 +218,8 @@ def _factors(subject: EffortData, place: float) -> list[float]:
 
 
 def _switched(recording: EffortData, place: float, factor: float) -> CandidateFit:
-    """Evaluate the better of two readings, with efforts in N m before the place or after it, on the samples in motion:
-    stiction is arbitrary at rest."""
+    """Evaluate the best reading: efforts in N m before the place or after it, of either sign for a negative factor;
+    on the samples in motion, because stiction is arbitrary at rest."""
     subject = recording.moving_part
     later = subject.shares >= place
     readings = []

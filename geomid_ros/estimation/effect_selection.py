@@ -47,7 +47,7 @@ def choose(
 
     Args:
         problem: the problem with all coefficients.
-        earlier: choice for fewer of the same rows, to start from.
+        earlier: columns of an earlier choice, to start from; the non-optional ones unless given.
         add_prior: adds prior rows to the problem; called only if there is a choice.
     """
     rows = CoefficientRows(problem)
