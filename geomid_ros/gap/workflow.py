@@ -79,8 +79,7 @@ def find_gap(
         previous: information of other recordings than ``train``, from which they were identified, on the links, or on
             these and all of the model's coefficients.
         other_effects: the model's effects that are not coefficients, because they depend on its prediction of a motion.
-        known_remainder: the model's remainder on its own training data, see :func:`remainder_of_model`; it does not
-            count as a change.
+        known_remainder: the model's remainder on its own data, which is no change; see :func:`remainder_of_model`.
         simulated: recordings of the user's simulator under the same commands, in the same form; what they show as well
             as ``train`` is no gap.
         progress: called with the present stage and the finished fraction, 0 to 1.
