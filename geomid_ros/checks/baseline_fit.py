@@ -58,7 +58,7 @@ class BaselineFit:
         """
         Args:
             measured, predicted: ``(N, C)`` the efforts, and those of the URDF's links.
-            link_errors: columns of the links' errors.
+            links: columns of the links' errors.
             friction: ``(N, C, 5)`` columns of friction.
             tolerated: ``(C, 5)`` prior standard deviations of friction's coefficients.
             position, velocity: ``(N, C)`` of the joints.
@@ -83,7 +83,7 @@ class BaselineFit:
     def predicted_gains(
         self, columns: FloatArray, begins: IntArray | None = None, *, before: bool = False
     ) -> FloatArray:
-        """Return approximately the least value of :meth:`gain`, at the noise without the columns [nats per sample].
+        """Return an approximate lower bound of ``gain(columns).per_instant``, at the noise without the columns [nats].
 
         Args:
             columns: ``(N, C, k)`` in units of the efforts, per standard deviation of their coefficients.

@@ -52,11 +52,11 @@ class CandidateFit:
     def of_corrected(
         corrected: EffortData, units: FloatArray, found: Evidence | None = None, **estimated: FloatArray
     ) -> CandidateFit:
-        """Evaluate a corrected subject.
+        """Evaluate corrected data.
 
         Args:
-            of_corrected: with the candidate undone.
-            units: ``(C,)`` one standard deviation of the measured numbers, in its efforts.
+            corrected: with the candidate undone.
+            units: ``(C,)`` one standard deviation of the measured numbers, in units of the corrected efforts.
             found: its evidence in these units, by default without further unknowns.
             **estimated: see :class:`CandidateFit`.
         """
@@ -73,7 +73,7 @@ class FaultCandidate:
         channels: the channels that it changes, all by default.
         corrected: reads a subject with the candidate undone; also ranks the candidates of a row.
         fit_corrected: evaluates a subject with the candidate undone, where another reading is not enough.
-        sizes: ``(C,)`` factors on efforts then.
+        sizes: ``(C,)`` sizes of the factors on efforts that undo it.
         sources: ``(C,)`` the measured channel of each evaluated one.
         may_be_named: True if it may be named; otherwise it only explains what others would be named for.
         needs_no_evidence: True if other knowledge than the evidence settles it.
@@ -134,7 +134,7 @@ class CandidateTest:
 
     @property
     def is_accepted(self) -> bool:
-        """True if it repeats and explains no channel worse, or is settled."""
+        """True if it repeats and makes no channel much worse, or needs no evidence."""
         if self.candidate.needs_no_evidence:
             return True
         better = self.channel_gains[self.candidate.channels]

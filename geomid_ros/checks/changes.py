@@ -34,8 +34,8 @@ Said: TypeAlias = Callable[[EvidenceGain, str], _Named | None]
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """A possible change: its ``columns``, the text ``said`` of it; True if it may ``grow`` gradually, or if it is there
-    ``first``, until some sample."""
+    """A possible change: its ``columns``, and ``said``, which makes its cause. ``grows``: True if it may be gradual.
+    ``first``: True if it is there from the beginning, until some sample."""
 
     columns: Columns
     said: Said
@@ -78,7 +78,7 @@ def _candidate(
 
 
 def _judged(subject: EffortData, gain: EvidenceGain, main: slice) -> CandidateFit:
-    """Evaluate a gain over the flexible fit, with the sizes of its ``main`` columns."""
+    """Evaluate a gain over the baseline fit, with the sizes of its ``main`` columns."""
     nominal = subject.nominal
     return CandidateFit(
         log_evidence=nominal.log_evidence + gain.per_instant * len(subject.samples),
@@ -218,8 +218,8 @@ def _factors(subject: EffortData, place: float) -> list[float]:
 
 
 def _switched(recording: EffortData, place: float, factor: float) -> CandidateFit:
-    """Evaluate the better of two readings, with efforts in N m before the place or after it, on the samples in motion:
-    stiction is arbitrary at rest."""
+    """Evaluate the best reading: efforts in N m before the place or after it, of either sign for a negative factor;
+    on the samples in motion, because stiction is arbitrary at rest."""
     subject = recording.moving_part
     later = subject.shares >= place
     readings = []

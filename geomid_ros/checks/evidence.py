@@ -76,7 +76,7 @@ class Unknowns:
     @staticmethod
     def of(links: FloatArray, own: FloatArray) -> Unknowns:
         """Create from columns ``(N, C, r)`` of the links' errors, and separate ones ``(N, C, k)`` of each channel:
-        others, then the five of friction."""
+        any others, and last the five of friction."""
         felt = tuple(map(np.flatnonzero, np.any(links, axis=0)))
         columns = [np.column_stack([links[:, c, errors], own[:, c]]) for c, errors in enumerate(felt)]
         return Unknowns(links.shape[2], felt, tuple(columns))
@@ -124,7 +124,7 @@ class Unknowns:
         return np.stack([columns[:, : len(felt)] @ errors[felt] for felt, columns in pairs], axis=1)
 
     def with_target(self, target: FloatArray, units: FloatArray) -> ChannelProducts:
-        """Products of the columns and of a ``target (N, C)``, those of links in ``units (C,)`` of the channels."""
+        """Products of the columns and of a ``target (N, C)``; links' columns are divided by ``units (C,)``."""
         size, blocks = int(self.places[-1][-1]) + 1, []
         for channel, (felt, columns, products) in enumerate(
             zip(self.affected_by, self.columns, self.products, strict=True)

@@ -169,7 +169,7 @@ def judge_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray,
         model: of the robot.
         kept: a few samples of the recording.
         gains: ``(joints,)`` factors on the messages' efforts.
-        whole: True if something may change during the recording.
+        whole: True to look for changes during the recording, too.
     """
     subject = EffortData.of(model.robot, kept, gains)
     moves = np.std(kept.samples.velocity, axis=0) > REST_SPEED

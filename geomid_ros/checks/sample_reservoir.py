@@ -20,7 +20,7 @@ _APART = 100_000_000  # [ns]; nearer samples are redundant
 
 
 def elapsed(stamps: IntArray, place: float) -> float:
-    """Time from the first sample to a place [s]; of consecutive recordings, all their durations."""
+    """Time [s] from the first sample to the fraction ``place`` of all samples; steps back in time count 0."""
     return float(np.sum(np.maximum(np.diff(stamps), 0)[: int(place * len(stamps))])) * 1e-9
 
 

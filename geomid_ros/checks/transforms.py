@@ -42,7 +42,7 @@ UNITS = {
 """Units of positions, in rad and m, of joints with efforts in N m and N."""
 _BEST = 3  # evaluated candidates per row
 TIMES = (0.5, 2.0, 1e-3, 1e3)
-"""Factors on time: seconds that are counted as halves, twice, as milliseconds or as thousands."""
+"""Factors on speeds: stamps count seconds as halves, twice, as milliseconds or as thousands."""
 
 
 def _names(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -185,7 +185,7 @@ def _turning(subject: EffortData) -> list[int]:
 
 
 def _best_start(few: EffortData, joint: int, sign: float) -> float:
-    """Zero [rad] at which efforts resemble the prediction most: a quarter turn, or near the configured zero."""
+    """Zero [rad] at which efforts resemble the prediction most: near the configured one, or quarter turns away."""
     near = 0.5 * TILT
     starts = np.array([0.0, near, -near, 0.5 * np.pi, -0.5 * np.pi, np.pi])
     counted = few.with_samples(_with_zero(few.samples, joint, sign, 0.0))

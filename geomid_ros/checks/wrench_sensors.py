@@ -29,7 +29,7 @@ _FLOOR = np.finfo(float).tiny
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """Fit of links of any mass to a wrench: log evidence per sample, ``sigmas (2,)`` of the residuals of force and
-    torque, as fractions, and the slope of the links' forces over the URDF's."""
+    torque, as fractions of their RMS, and the slope of the links' forces over the URDF's."""
 
     log: float
     sigmas: FloatArray
@@ -48,7 +48,7 @@ class WrenchSensorCheck:
             sensor: a mounted one that measures all six axes.
             name: of the sensor in the configuration.
             samples: a few samples of the recording.
-            dense: all samples of a stretch of it, to find a delay.
+            dense: its last samples in motion, one per 20 ms, to find a delay.
         """
         self._model, self._sensor, self._name = model, sensor, name
         bare = MeasurementModel(model.robot, (), model.sensors)

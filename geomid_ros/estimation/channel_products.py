@@ -1,4 +1,4 @@
-"""Gram matrices of the rows per channel, each on the channel's columns.
+"""Gram matrices of each channel's columns.
 
 An effort depends on the links distal to its joint and on the joint's effects, so on a robot with many limbs a channel
 has few of all columns.

@@ -30,7 +30,7 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 @dataclass(frozen=True, eq=False)
 class CoefficientRows:
     """Rows of a ``problem`` with all its coefficients: the rows of motion, which decide on all effects; or, if
-    ``at_rest``, all rows, which decide only on the effects with memory.
+    ``at_rest``, all rows, which decide only on shapes and on the effects with memory.
 
     At rest and near reversals dry friction depends on the past, and an effect without memory may absorb it.
     """
@@ -264,7 +264,7 @@ class CoefficientFit:
 
     @cached_property
     def chosen_columns(self) -> IntArray:
-        """Optional columns."""
+        """Columns of the optional coefficients in this fit."""
         return np.intersect1d(self.all_columns, self.rows.optional)
 
     @cached_property
@@ -288,7 +288,7 @@ class CoefficientFit:
 
     @property
     def _slopes(self) -> FloatArray:
-        """Half the derivative ``(folds, k)`` of each fold's squares by its coefficients, for folds with rows."""
+        """Half the derivative ``(folds, k)`` of each fold's squares by the k parameters, for folds with rows."""
         problem = self.rows.problem
         slopes = np.zeros((problem.summary.folds, self.rows.size + 1))
         for channel, weight, parts in zip(problem.summary.groups, self.weights, problem.summary.parts(), strict=False):

@@ -58,7 +58,7 @@ class Difference:
         effect: name of the effect; empty for a link.
         parameter: name of the parameter.
         first, second: the two values; None if a result has no such effect, which does not mean that the robot lacks it.
-        half_width: half-width of the joint interval of their difference; NaN if neither result has an uncertainty.
+        half_width: half-width of the joint interval of their difference; NaN if one is missing or neither is uncertain.
     """
 
     place: str
@@ -151,7 +151,7 @@ def _evidence(first: RobotValues, second: RobotValues, names: list[str]) -> tupl
 
 
 def _limits(chance: float) -> tuple[float, float]:
-    """Thresholds that chance exceeds with this probability: std of a number's difference, gain of a link's change."""
+    """Thresholds that chance exceeds with this probability: a difference in stds, the gain of a link's change."""
     from scipy.special import chdtri, ndtri  # noqa: PLC0415 only comparisons need it
 
     return float(-ndtri(0.5 * chance)), float(chdtri(len(QUANTITIES), chance))

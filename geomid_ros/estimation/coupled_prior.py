@@ -114,8 +114,8 @@ def fit_with_coupled_prior(
         given: the weights of the prior's blocks, if known.
 
     Returns:
-        The fit of the problem with the prior's rows, and the weights of the prior's blocks. ``spent`` is True for a fit
-        that did not settle.
+        The fit of the problem with the prior's rows, and the weights of the prior's blocks. ``budget_exhausted`` is
+        True for a fit that did not settle.
     """
     given = given and {**prior.trusted, **given}  # blocks that are not given keep their prior
     found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted))

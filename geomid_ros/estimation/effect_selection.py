@@ -47,7 +47,7 @@ def choose(
 
     Args:
         problem: the problem with all coefficients.
-        earlier: choice for fewer of the same rows, to start from.
+        earlier: columns of an earlier choice, to start from; the non-optional ones unless given.
         add_prior: adds prior rows to the problem; called only if there is a choice.
     """
     rows = CoefficientRows(problem)
@@ -103,7 +103,7 @@ def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
 
 
 def _without_unbelieved(fit: CoefficientFit) -> CoefficientFit:
-    """Remove the optional effects that are not significant, the least significant first."""
+    """Remove the optional effects that are implausible or not significant, the least significant first."""
     while len(fit.chosen_columns):
         squares = fit.is_plausible * fit.squares_of(fit.chosen_columns)
         if np.min(squares) > SIGNIFICANT_STDS**2:

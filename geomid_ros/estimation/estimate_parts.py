@@ -1,6 +1,6 @@
 """Parts of an estimate: links, effects and weighed masses, from the end of a fit and its uncertainty.
 
-In all functions ``point`` is the end of the fit of the ``problem``, and ``found`` its uncertainty.
+``point`` is everywhere the end of the fit of the ``problem``, and ``found`` its uncertainty.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def weighed(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> t
     rows = problem.known.weighed
     normals = problem.manifold.whiten(point, rows.rows)
     stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
-    # In units of the given standard deviation, without the masses that are not identified.
+    # In units of the given standard deviation, without the masses of links that are not estimated.
     errors = rows.rows @ point.parameters - rows.targets
     return tuple(
         WeighedEstimate(

@@ -28,7 +28,7 @@ from geomid_ros.types import FloatArray
 CERTAINTY = 20.0
 """Weight of the default prior std, in directions of the tangent space: as much as two links."""
 INDEPENDENT_ROWS_PER_PERIOD = 2.67
-"""Independent rows per period of the filter's cutoff; the filter passes nothing above 1.5 times this frequency."""
+"""Independent rows per period of the filter's cutoff; the filter passes nothing above 1.5 times the cutoff."""
 _BUDGET = 3  # times max_steps, for all rounds together: five times what measured robots need
 _SETTLED = 1e-7  # relative change of noise and prior std, which falls to about a third in a round
 _SETTLED_WARM = 1e-8  # the same for a warm start: its rounds are extrapolated, so that few more are needed

@@ -57,7 +57,7 @@ class BufferSettings:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """State of an :class:`Identifier`: rows, reasons why others were rejected, the last pose and its stamp [ns]."""
+    """State of an :class:`Identifier`: rows, numbers of rejected ones by reason, last pose taken, last stamp [ns]."""
 
     summary: SummaryState
     rows_rejected: Counter[str]
@@ -186,7 +186,7 @@ class Identifier:
         states: FloatArray,
     ) -> None:
         """Take the rows of samples in which something moved."""
-        if self._held == 0 and self._recent.idle:  # otherwise the buffer would pass them on at once
+        if self._held == 0 and self._recent.idle:  # the buffer would only pass them on
             self._summary.add(coefficients, targets, elapsed, motion_regimes, states)
             self.sample_count += len(elapsed)
             return
@@ -211,7 +211,7 @@ class Identifier:
         _with(self._summary, settled)
 
     def buffer_last(self, instants: int) -> None:
-        """Buffer the last ``sample_count`` samples (none at first), whose rows can still be left out; settle the
+        """Buffer the last ``instants`` samples (none at first), whose rows can still be left out; settle the
         rest."""
         with self._lock:
             self._held = instants

@@ -119,7 +119,7 @@ class AlikePrior(CoupledPrior):
         return alike_rows(self.parts, self._own(weights), len(self.columns))
 
     def block_distances(self, weights: Mapping[str, float], /) -> FloatArray:
-        """Deviation of each link from the weighted mean of the alike ones, in units of its default std."""
+        """Deviation of each link from the weighted mean of the alike ones, in units of the default individual std."""
         return np.asarray(
             deviation_from_common(self.parts, self._own(weights), np.eye(len(self.columns))) / ALIKE_PRIOR_STD
         )
@@ -202,7 +202,7 @@ class PopulationPrior(CoupledPrior):
         return converted
 
     def root(self, weights: Mapping[str, float]) -> FloatArray:
-        """Information ``(k, k)`` of the population beyond the problem's separate prior."""
+        """Root ``(k, k)`` of the population's information beyond the problem's separate prior."""
         prior_stds = self._own.copy()
         for name, block in self.population.blocks.items():
             prior_stds[block] *= weights[name] ** 0.5

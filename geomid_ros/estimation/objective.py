@@ -24,7 +24,7 @@ _pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="geomid-projection")
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Half of an objective at a point: its value, its gradient ``(D,)`` and its Hessian ``(D, D)`` along its steps.
+    """Half of an objective at a point: value, gradient ``(D,)``, and Hessian ``(D, D)`` along :meth:`Objective.step`.
 
     ``information``: the part of the Hessian that the rows contribute at distance zero (Gauss-Newton). With weights from
     true standard deviations it is the Fisher information of the rows.

@@ -19,7 +19,7 @@ class BufferedSample:
         number: Its number in the sequence of all samples.
         coefficients, targets: ``(channels, D)`` and ``(channels,)``; a target is NaN where there is no row.
         elapsed: Time since the previous sample [s].
-        regimes: ``(channels,)``, see :class:`RowSummary`.
+        regimes: ``(channels,)``, see :mod:`geomid_ros.estimation.summary`.
         state: State of the motion ``(S,)``.
     """
 

@@ -1,4 +1,4 @@
-"""Start of a solve: prior point, scales of the real coefficients, first standard deviations of the channels."""
+"""Start of a solve: prior point and its standard deviations, scales of the coefficients, first noise of each group."""
 
 from __future__ import annotations
 

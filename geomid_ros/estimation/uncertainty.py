@@ -97,8 +97,8 @@ def estimate_uncertainty(
     """Uncertainty of a regularised estimate.
 
     Two numbers per group are estimated from the data: the factor by which correlated residuals enlarge the errors
-    (:func:`variance_inflation`), and the standard deviation of the prior's errors (:func:`prior_stds_of`). A few blocks
-    of time and a few links determine both only roughly, so that each is bounded below by what is known otherwise.
+    (:func:`variance_inflation`), and the standard deviation of the prior's errors (:func:`estimated_prior_stds`). A few
+    blocks of time and a few links determine both only roughly, so each is bounded below by what is known otherwise.
 
     Args:
         folds: The measured rows by blocks of time.

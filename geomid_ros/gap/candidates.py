@@ -35,7 +35,7 @@ its joints are as likely as not."""
 CLEARLY = 12.0
 """Difference of minus twice a logarithm that occurs by chance once in four hundred."""
 _EXACT = 1e-5  # standard deviation of a sum fixed at zero, relative to the friction: far less than that of any rows
-_OF_COUPLED = 0.05  # fraction of these for coupled joints: most joints have separate motors
+_OF_COUPLED = 0.05  # fraction of the odds, for coupled joints: most joints have separate motors
 
 
 def library_columns(model: MeasurementModel) -> tuple[Column, ...]:
@@ -115,7 +115,7 @@ class Candidate:
 
     @cached_property
     def prior_std(self) -> tuple[float, ...]:
-        """Prior stds of the coefficients about their known values; 0 for a fraction of the measurement."""
+        """Prior stds of the coefficients about their known values; 0: a default fraction of the measurement."""
         return tuple(
             term.effect.default_prior_std[term.index] if term.effect.default_prior_std else 0.0 for term in self.terms
         )
@@ -202,7 +202,7 @@ def passivity_constraints(terms: Sequence[EffectTerm], values: FloatArray) -> Fl
     depend on the past: their extrapolation to standstill can have the wrong sign. It makes a simulator shake.
 
     Args:
-        terms: of the coefficients.
+        terms: terms of the coefficients.
         values: the coefficients ``(k,)``; zero for those that are left out.
 
     Returns:

@@ -111,7 +111,7 @@ class LinkChange:
 
     @property
     def sentence(self) -> str:
-        """Sentence with the 95 % interval."""
+        """Sentence; each number after ± is one standard deviation."""
         if self.moment:
             changes = (f"{axis} by {q.value:.3g} ± {q.std:.2g} {q.unit}" for axis, q in self.moment.items())
             by_mass = f"{self.mass.value:.2g} ± {self.mass.std:.2g} kg"
@@ -126,8 +126,8 @@ class LinkChange:
 @dataclass(frozen=True)
 class Unexplained:
     """A joint or wrench channel whose remainder no named effect explains: ``gap`` times the floor, and the variable
-    that it depends on (``position``, ``velocity``, ``load``, ``time``, ``reversals``, ``unknown``, or another joint's
-    name)."""
+    that it depends on (``position``, ``velocity``, ``acceleration``, ``load``, ``time``, ``reversals``, ``unknown``, or
+    another joint's name)."""
 
     joint: str
     depends_on: str
@@ -169,7 +169,7 @@ class GapErrors:
 
 @dataclass(frozen=True)
 class ResidualDependence:
-    """Fraction of a channel's first remainder, 0 to 1, that a smooth curve of each variable explains."""
+    """Fraction of a channel's remainder, 0 to 1, that a smooth curve of each variable explains."""
 
     channel: str
     velocity: float
@@ -197,7 +197,7 @@ class GapResult:
     Attributes:
         verdict: in a word or two.
         findings: the named effects, the one that matters most first.
-        links: those whose mass differs from the model, without payloads.
+        links: those whose mass or first moment differs from the model, without payloads.
         unexplained: what no named effect explains.
         unjudged: channels that move, but have no held-out sample at which the model can be blamed.
         channels, units: names and units of the rows of all per-channel arrays.

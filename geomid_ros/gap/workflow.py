@@ -34,7 +34,7 @@ CUTOFF = 8.0
 """Cutoff of the low-pass on the workflow's samples [Hz], where the recording's rate allows it."""
 
 
-_STD_OF_IDENTIFIED = 0.05  # of a link's inertia: replaces USUAL_SPREAD, which is that of a URDF
+_STD_OF_IDENTIFIED = 0.05  # of a link's inertia: replaces DEFAULT_PRIOR_STD, which is that of a URDF
 _STD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
 _LEAST_SHARE = 0.01  # fraction of the measurement: smaller coefficients are not known more accurately
 _CERTAINTY_OF_IDENTIFIED = 100.0  # an identified model is hardly ever as wrong as a URDF
@@ -79,7 +79,7 @@ def find_gap(
         previous: information of other recordings than ``train``, from which they were identified, on the links, or on
             these and all of the model's coefficients.
         other_effects: the model's effects that are not coefficients, because they depend on its prediction of a motion.
-        known_remainder: the model's remainder there, see :func:`remainder_of_model`; it does not count as a change.
+        known_remainder: the model's remainder on its own data, which is no change; see :func:`remainder_of_model`.
         simulated: recordings of the user's simulator under the same commands, in the same form; what they show as well
             as ``train`` is no gap.
         progress: called with the present stage and the finished fraction, 0 to 1.

@@ -24,9 +24,9 @@ DEFAULT_FRACTION = 0.3
 @dataclass(frozen=True, eq=False)
 class ChannelRows:
     """Whitened rows of a channel: ``columns (N, K + 1)``, the target last, and ``features (N, m)`` of the remainder in
-    their ``block (m,)``. These are ``scale (m,)`` times the given ones: a draw of a block with variance 1 has a mean
-    square of 1. ``place`` and ``links (D,)`` are the indices of the terms and of the inertial columns of all channels,
-    -1 if absent. Given other recordings, the features' coefficients have the covariance ``prior_covariance``, see
+    their ``block (m,)``. The features are ``scale (m,)`` times the given ones: a draw of a block with variance 1 has a
+    mean square of 1. ``place`` and ``links (D,)``: indices of the terms and of the inertial columns of all channels, -1
+    if absent. Given other recordings, the features' coefficients have the covariance ``prior_covariance``, see
     :class:`Remainder`, and the mean ``prior_mean (m,)``, which is taken off the target."""
 
     columns: FloatArray

@@ -36,7 +36,7 @@ class JointFit(Generic[Chosen, Term]):
         chosen: the candidates.
         terms: the fitted coefficients: those of the model, then those of the candidates.
         point, manifold: the D parameters: inertias of links and payloads, then the coefficients.
-        score: minus twice the log marginal likelihood, with the parameters' penalty.
+        score: minus twice the log marginal likelihood, plus the candidates' costs.
         squares: whitened sums of squares ``(C,)``.
         packed: the :attr:`information`, packed because a search keeps hundreds of fits.
         weights: the prior's part of its diagonal ``(D,)``, other recordings excluded.
@@ -117,7 +117,7 @@ class JointFit(Generic[Chosen, Term]):
         return design.remainders(self.bodies, self.terms, self.point.parameters)
 
     def parameters_by_channel(self, design: Design) -> FloatArray:
-        """Effective number of parameters of each channel ``(C,)``: the trace of its part of the information."""
+        """Effective number of parameters of each channel ``(C,)``: trace of its information times the covariance."""
         products = design.gather(self.bodies, self.terms)
         covariance = np.pad(self.covariance, (0, 1))  # of the target, too
         pairs = zip(products.places, products.blocks, strict=True)

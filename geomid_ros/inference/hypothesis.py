@@ -25,7 +25,7 @@ class Hypothesis(Protocol[_Term_co]):
 
     @property
     def prior_std(self) -> tuple[float, ...]:
-        """Prior stds of its coefficients about their known values; 0 for a fraction of the measurement."""
+        """Prior stds of its coefficients about their known values; 0: a default fraction of the measurement."""
 
     @property
     def odds(self) -> float:

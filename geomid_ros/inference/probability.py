@@ -62,8 +62,8 @@ class Supports(Generic[Chosen, Term]):
         """Return the support of one hypothesis.
 
         Its absence is scored with a remainder estimated anew: what a free curve explains as well is no evidence for an
-        effect. Its worth is at most that of its size, by the ratio of posterior and prior density at zero (Dickey, "The
-        weighted likelihood ratio", 1971), with the standard deviations from the scatter between blocks of time. Losses
+        effect. The adjusted loss is at most that of its size: the ratio of posterior and prior density at zero (Dickey,
+        "The weighted likelihood ratio", 1971), with standard deviations from the scatter between blocks of time. Losses
         with rivals shrink by the same factor. Prior odds are corrected by how common such hypotheses are on this robot.
         """
         loss, worth, common = self.loss(candidate), self.adjusted_loss(candidate), self._common(candidate)
@@ -165,7 +165,7 @@ def _doubt(
     columns: Hypothesis[Any] | int,
     values: FloatArray,
 ) -> float:
-    """Relative doubt for given sums of squares ``along (C,)`` of the remainder's part that may lie along columns."""
+    """See :func:`relative_std_from_remainder`; ``along (C,)``: squares of the remainder that may lie along columns."""
     powers = np.maximum(design.powers(columns, values) / joint_fit.squares, 0.0)  # rounding may leave less
     error = float(np.sum(np.sqrt(along / joint_fit.squares * powers)))
     return error / max(float(np.sum(powers)), 1e-300)

@@ -31,7 +31,7 @@ class Basis:
 
     @staticmethod
     def of(model: MeasurementModel, records: Records, situation: Situation) -> Basis:
-        """Create from the measurement: knots at the ends of each range; mean square 1 for columns of other units."""
+        """Create from the measurement: knots at the ends of each range; mean square 1 for blocks of several units."""
         samples = records.samples
         variables = samples.position, samples.velocity, situation.predicted
         ends = np.array([[knots(col) for col in joint] for joint in zip(*(v.T for v in variables), strict=False)])

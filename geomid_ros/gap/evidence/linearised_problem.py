@@ -38,8 +38,8 @@ def total_model(model: MeasurementModel, found: EffectsFit) -> TotalModel:
 class LinearisedProblem:
     """Records under a model linearised at ``total``, given its known remainder (``known_remainder``).
 
-    An absorbed effect (a tilt, delay or gain) is not added as a column: gravity is rotated, the efforts are shifted in
-    time, the rows scaled. The target is changed so that the coefficients still mean the whole tilt, delay and gain.
+    A compensated effect (a tilt, delay or gain) is built in: gravity is rotated, the efforts are shifted in time, the
+    rows scaled. The target is changed so that its coefficients still mean the whole tilt, delay or gain.
     """
 
     def __init__(

@@ -118,8 +118,8 @@ class Repeats:
     counts: FloatArray
 
     def floor(self, remainder: FloatArray) -> FloatArray:
-        """Noise std of each channel ``(C,)``, given the std of the residual of a model, ``remainder (C,)``. This is
-        another estimate of the noise, except for the model's remainder.
+        """Noise std of each channel ``(C,)``, given the std of a model's residual, ``remainder (C,)``, which also
+        estimates the noise, apart from the model's remainder.
 
         It uses more data, so it is taken unless the repeats give significantly less: the smaller of two estimates that
         differ by chance is too small.

@@ -145,7 +145,7 @@ class Records:
 
 @dataclass(frozen=True, eq=False)
 class TotalModel:
-    """A total model.
+    """Inertias, effects and gravity that together predict the measurement.
 
     Attributes:
         inertias: of all bodies with their payloads ``(bodies, 10)``.
@@ -174,7 +174,7 @@ class TotalModel:
 
     @property
     def compensated_effects(self) -> list[tuple[SituationEffect, Place, FloatArray]]:
-        """Effects that are built into the model instead of being columns: on gravity, time and scale."""
+        """Effects that are built into the model (gravity, time, scale); their columns stand for changes."""
         absorbed = [
             (effect, place, coefficients)
             for effect, place, coefficients in self.effects

@@ -256,7 +256,7 @@ def _all_moved(quantities: Mapping[str, Quantity], values: FloatArray) -> dict[s
 
 
 def _moved(quantity: Quantity, value: float) -> Quantity:
-    """Replace a quantity's value, and widen its standard deviation to include the former one."""
+    """Replace a quantity's value, and widen its standard deviation to include the former value."""
     return replace(quantity, value=value, std=max(quantity.std, abs(value - quantity.value)))
 
 

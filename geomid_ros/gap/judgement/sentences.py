@@ -24,8 +24,8 @@ _BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of severa
 def parameters(
     model: MeasurementModel, found: EffectsFit, candidate: Candidate, log_std: float = 0.0, usual_load: float = 0.0
 ) -> dict[str, Quantity]:
-    """Parameters of a candidate with their standard deviations. ``log_std`` is that of the logarithm of the grid
-    constant, ``usual_load`` [N m or N] that of the load that the joint's gear transmits."""
+    """Parameters of a candidate with their standard deviations. ``log_std``: that of the logarithm of the grid
+    constant. ``usual_load``: standard deviation of the joint's rigid-body load [N m or N]."""
     if candidate.payload is not None:
         return _of_payload(found, candidate.effect, candidate.payload)
     values = np.array([found.value(term) for term in candidate.terms])

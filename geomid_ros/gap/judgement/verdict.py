@@ -21,7 +21,7 @@ from geomid_ros.model.effects.situation import OnLink
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
-_NEAR = 20.0  # in minus twice a logarithm: rivals less likely than one in ten thousand are not reported
+_NEAR = 20.0  # in minus twice a logarithm: rivals less likely than one in twenty thousand are not reported
 _MOST_OF_IT = 0.5  # fraction of a channel's squares
 
 
