@@ -106,7 +106,7 @@ LONGEST_FAULT = 0.1
 LARGEST_DELAY_RATIO = 2.0
 """Allowed delay as a multiple of the delay that the gain is set for; the loop is stable up to pi times."""
 _SATURATED = 0.99  # of the effort limit
-_MEMORY = 1.0  # [s] in which a long delay, and a fault of LASTING, are forgotten
+_MEMORY = 1.0  # [s] in which a long delay, and a fault of LONGEST_FAULT, are forgotten
 
 
 @dataclass(frozen=True, eq=False)

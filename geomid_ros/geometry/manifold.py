@@ -79,7 +79,7 @@ class Point:
 
 
 def _lengthened(steps: FloatArray) -> FloatArray:
-    """Return ``1 + step`` where that is well above zero, and a smaller positive factor elsewhere."""
+    """Return ``1 + step`` where that is above one half; elsewhere, a factor that stays positive."""
     bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(steps + _STRAIGHT, 0.0)), _SMALLEST_FACTOR)
     return np.where(steps > -_STRAIGHT, 1.0 + steps, bent)
 

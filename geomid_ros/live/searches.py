@@ -55,7 +55,7 @@ class SearchStatus(Generic[R]):
 
     @property
     def document(self) -> dict[str, Any]:
-        """Result as a document; only the sentence, as ``error``, if the search failed."""
+        """Result as a document; only the sentence, as ``error``, if there is no result."""
         return self.result.document if self.result else {"error": self.sentence}
 
 
@@ -220,7 +220,8 @@ class PayloadSearch:
         )
 
     def take_loaded(self, worker: Worker) -> tuple[bool, str]:
-        """Start to identify the payload from the motion since then. Return True if that is possible, and a sentence."""
+        """Start to identify the payload from the motion since :meth:`take_empty`. Return True if that is possible, and
+        a sentence."""
         if not self._empty:
             return False, "no motion without the payload yet: move the robot without it, and call ~/payload/empty"
         if self._search.running:

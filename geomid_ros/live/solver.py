@@ -236,7 +236,7 @@ class Solver:
             self.changed_sensors = tuple(changed or ())
             for topic, channels in self._sensors.items():
                 reason = f"wrench changed: {topic}"
-                if changed is None:  # the sensor is sound
+                if changed is None:  # the robot may have changed, not a sensor
                     self._session.identifier.restore_rows(reason, 0)
                 elif topic not in changed:
                     self._session.identifier.restore_rows(reason, detector.searched_until)

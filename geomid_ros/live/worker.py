@@ -261,12 +261,12 @@ class Worker:
 
 def _completion_times(times: Sequence[float], blocks: Sequence[Block], stamps: IntArray) -> FloatArray:
     """Receipt time [s] of the message that completed each sample ``(N,)``. A sample is complete once every topic has a
-    message that is at least as late.
+    message that is later by at least the filter's lag.
 
     Args:
         times: [s] at which messages were received.
         blocks: these messages, decoded. If none is as late, an earlier one completed the sample: the first time counts.
-        stamps: of the samples, increasing [ns].
+        stamps: of the samples plus the lag, increasing [ns].
     """
     completed, received = np.full(len(stamps), times[0]), np.array(times)
     for block in blocks:

@@ -160,7 +160,7 @@ class EffectPlaces:
         return effect in local or (everywhere and effect.name not in {other.name for other in local})
 
     def _is_measured(self, effect: IdentifiedEffect, place: Place) -> bool:
-        """True if the effort sensors are on the side of the gear where an effect acts."""
+        """False if an effect acts before a gear whose effort sensor is on the link side, which does not show it."""
         joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
         return not (effect.before_gear and joints.intersection(self.link_side_joints))
 

@@ -1,7 +1,7 @@
 """Payload detection by change points: has the last link carried a payload since some time, and which?
 
 Three hypotheses explain the rows since each recent block: the robot is as it was; the link carries a payload, with a
-wide prior; or an unknown effect acts on every channel, as large as observed and as smooth as motions. A payload is
+wide prior; or an unknown effect acts on every channel, as large as observed and different in every block. A payload is
 accepted if its evidence exceeds both others, and dropped if the last rows are likelier without it (change points of
 product partitions: Adams, MacKay 2007).
 

@@ -58,7 +58,7 @@ class JointStateMerger:
         self.restart()
 
     def restart(self) -> None:
-        """Restart after a clock was set back."""
+        """Restart after a clock was set or positions leapt."""
         for reader in self.readers.values():
             reader.restart()
         self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}

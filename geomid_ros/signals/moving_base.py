@@ -103,8 +103,8 @@ class Stance:
     def __init__(self, loads: Callable[[Samples], FloatArray], cutoff: float) -> None:
         """
         Args:
-            loads: fractions ``(N, feet)`` of the weight that the feet bear, see
-                :meth:`~geomid_ros.model.contacts.Legs.loads`.
+            loads: function that computes the load of each foot ``(N, feet)``, as a fraction of weight / number of feet
+                (:meth:`~geomid_ros.model.contacts.Legs.loads`).
             cutoff: of the low-pass on all signals [Hz].
         """
         self._loads = loads

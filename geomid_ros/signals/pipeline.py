@@ -113,7 +113,7 @@ class SignalPipeline:
         self._admission = ReorderBuffer(self._new_gate, self.ledger.note)
         self._arrived = 0  # number of messages
         self._open: Counter[str] = Counter()  # messages that are not yet accounted for
-        self._joined: list[tuple[int, Part, int, FloatArray]] = []  # messages that wait for those of other joints
+        self._joined: list[tuple[int, Part, int, FloatArray]] = []  # messages to merge with those of other joints
         base = [ODOM if mount is None else IMU] if floating_base else []
         topics = (*self._sensors, *base)
         self._sampler = Sampler(
@@ -158,7 +158,8 @@ class SignalPipeline:
         return self._parts.silent
 
     def push(self, messages: Message | Sequence[Block]) -> None:
-        """Take messages; unusable ones are counted. If this fails, all unprocessed messages are dropped and counted.
+        """Take messages; unusable ones are counted. If this fails, the unprocessed ones are dropped and counted, except
+        those that wait for a decision.
 
         Raises:
             InputError: a sensor was not declared, or the cutoff is too high for the rate of the messages.
@@ -183,7 +184,7 @@ class SignalPipeline:
 
     @contextmanager
     def _dropping(self) -> Iterator[None]:
-        """Drop and count unprocessed messages if the block inside fails."""
+        """If the code inside fails, drop and count unprocessed messages, except those that wait for a decision."""
         try:
             yield
         except Exception as error:

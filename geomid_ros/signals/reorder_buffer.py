@@ -104,8 +104,8 @@ class Gate:
         return decided, notes
 
     def begin_anew(self, decided: MessageBatch) -> MessageBatch:
-        """Reset the gate. Return the messages that were ``decided`` since then, and the waiting ones, without its
-        refusals."""
+        """Reset the gate. Return the ``decided`` messages, which must be decided on again, and the waiting ones,
+        without its refusals."""
         arrived = MessageBatch.joined([decided, self.waiting])
         self.waiting, self._stamp, self._decided = NO_MESSAGES, 0, 0
         arrived.refusals[[refusal in _REASONS for refusal in arrived.refusals]] = None

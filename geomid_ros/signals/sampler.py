@@ -94,7 +94,7 @@ class Sampler:
             self._take(accepted)
 
     def restart(self) -> None:
-        """Restart after a clock was set back."""
+        """Restart after a clock was set or positions leapt."""
         self.make_samples()
         self._waiting.clear()
         self._newest.clear()
