@@ -50,7 +50,7 @@ class Coefficient:
 
     @property
     def mechanism(self) -> Mechanism:
-        """Its mechanism: a model has one coefficient of each, whatever the constants of its effect."""
+        """Its mechanism: an estimate has at most one coefficient of each, whatever the constants of its effect."""
         return self.effect.name, self.place, self.index
 
     def parameters(self, value: float, std: float) -> dict[str, Quantity]:

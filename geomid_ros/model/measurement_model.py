@@ -230,7 +230,8 @@ class MeasurementModel:
 
     @cached_property
     def usual_shapes(self) -> dict[Mechanism, int]:
-        """Index among the D parameters of each mechanism; of several instances of an effect, that of the default."""
+        """Index among the D parameters of each mechanism; of several instances of an effect, that of the first: the
+        default if it acts everywhere, else the first of its grid."""
         first = 10 * len(self.identified)
         return {c.mechanism: first + k for k, c in reversed([*enumerate(self.coefficients)])}
 
