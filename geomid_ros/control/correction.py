@@ -208,9 +208,9 @@ class Correction:
     def __init__(self, efforts: MotorEfforts, joints: Sequence[str], body: str, heaviest: float) -> None:
         """
         Args:
-            efforts: of the identified model, for motions of ``joints``.
+            efforts: efforts of the identified model, for motions of ``joints``.
             joints: names, in the order of all arrays.
-            body: that adapts.
+            body: body that adapts.
             heaviest: largest payload [kg].
 
         Raises:

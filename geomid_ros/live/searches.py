@@ -159,11 +159,11 @@ def look_for_gap(
     """Search for a gap in messages that the pipeline of a live session has accepted.
 
     Args:
-        session: of the node.
+        session: session of the node.
         before: estimate from before a gap opened, as the reference; None for the robot description and the configured
             model.
         earlier: messages that ``before`` is from: a remainder that they had already is no change.
-        messages: to search in.
+        messages: messages to search in.
         progress: called with the current stage.
 
     Raises:

@@ -50,7 +50,7 @@ class Solver:
     def __init__(self, session: Session, period: float, listener: Listener) -> None:
         """
         Args:
-            session: has the rows.
+            session: session with the rows.
             period: [s] between solves, at least; nothing is solved while no rows come.
             listener: receives estimates and payloads in the solver's thread.
         """

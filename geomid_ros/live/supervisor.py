@@ -46,7 +46,7 @@ class Supervisor:
     ) -> None:
         """
         Args:
-            configuration: of every session.
+            configuration: configuration of every session.
             ledger: counts the messages of all workers.
             log: receives a line when a session begins.
             listener: receives the results of all workers.

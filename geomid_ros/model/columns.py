@@ -38,7 +38,7 @@ class JointColumn:
     function: JointFunction
 
     def values(self, motion: Motion) -> FloatArray:
-        """Its values ``(N, J)``."""
+        """Return its values ``(N, J)``."""
         return self.function.column(motion)
 
     def affected_joints(self, joints: int) -> tuple[int, ...]:

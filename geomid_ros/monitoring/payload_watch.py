@@ -184,9 +184,9 @@ class PayloadWatch:
     ) -> None:
         """
         Args:
-            channels: of the model.
-            link: that may carry a payload.
-            columns: of the link in the model.
+            channels: channels of the model.
+            link: link that may carry a payload.
+            columns: columns of the link in the model.
             links: number of columns of links; effects follow.
             prior_mean: payload ``(10,)`` at the centre of the prior.
             prior_std: prior standard deviation, a geodesic distance.
@@ -213,8 +213,8 @@ class PayloadWatch:
         Args:
             first: index of the first sample.
             stamps: ``(N,)`` [ns].
-            rows: of the ``N`` samples; uninformative targets are NaN.
-            noise: of each channel.
+            rows: rows of the ``N`` samples; uninformative targets are NaN.
+            noise: noise of each channel.
             retained: fraction of their weight that earlier rows keep.
         """
         if self.payload is None:

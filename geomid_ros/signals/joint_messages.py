@@ -46,7 +46,7 @@ class JointReader:
     ) -> None:
         """
         Args:
-            joints: the robot's, in its order.
+            joints: joints of the robot, in its order.
             gains: ``(joints,)`` factors of efforts.
             continuous: ``(joints,)`` True for joints without limits: their positions may jump by whole turns.
             max_gap: [ns].

@@ -40,7 +40,7 @@ class JointStateMerger:
     ) -> None:
         """
         Args:
-            joints: the robot's.
+            joints: joints of the robot.
             max_gap: [ns].
             resolved: [ns] longest period at which efforts can be filtered.
             make_reader: makes the reader of a part's messages.

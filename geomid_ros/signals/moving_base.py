@@ -105,7 +105,7 @@ class Stance:
         Args:
             loads: function that computes the load of each foot ``(N, feet)``, as a fraction of weight / number of feet
                 (:meth:`~geomid_ros.model.contacts.Legs.loads`).
-            cutoff: of the low-pass on all signals [Hz].
+            cutoff: cutoff of the low-pass on all signals [Hz].
         """
         self._loads = loads
         self._span = round(1e9 / cutoff)  # [ns] by which the low-pass smears a change to both sides

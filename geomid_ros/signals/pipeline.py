@@ -74,10 +74,10 @@ class SignalPipeline:
     ) -> None:
         """
         Args:
-            joints: the robot's, in its order.
+            joints: joints of the robot, in its order.
             floating_base: True if the base moves: its pose comes on ODOM, unless it has an IMU.
             sensors: the wrench sensors, in the order of samples.
-            settings: of the filter and of efforts.
+            settings: settings of the filter and of efforts.
             continuous: joints without limits: their positions may jump by whole turns between messages, and are wrapped
                 to -pi to pi in samples.
             turning: revolute joints: a step of a whole turn in their positions is caused by the driver, and is undone.
@@ -86,9 +86,10 @@ class SignalPipeline:
             on_accepted: called with all accepted messages, in the form that :meth:`push_accepted` takes.
             ledger: counts all messages.
             received_joints: set to which the names of joints in messages are added.
-            mount: of the IMU on a floating base, whose messages come on IMU.
-            controller: of the joints: efforts are those of commands, which come on COMMANDS.
-            loads: of the feet, whose stance samples contain; see :class:`~geomid_ros.signals.moving_base.Stance`.
+            mount: pose of the IMU on a floating base; its messages come on IMU.
+            controller: controller of the joints: efforts are computed from commands, which come on COMMANDS.
+            loads: function for the feet's loads, from which their stance follows; see
+                :class:`~geomid_ros.signals.moving_base.Stance`.
 
         Raises:
             InputError: two topics have the same name, a gain is of an unknown joint, or the cutoff is too high.
