@@ -86,7 +86,8 @@ class Worker:
         self._inbox.request(lambda: self.solver.request(done))
 
     def recent_messages(self) -> list[AcceptedMessages]:
-        """Return the remembered messages; while a gap is open or a payload is carried, only those since then.
+        """Return the remembered messages; while a gap is open or a payload is carried, only those since
+        all rows have shown the last such change.
 
         Before and after a change the robot differs, and no single effect explains both.
         """

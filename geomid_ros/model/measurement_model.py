@@ -68,9 +68,9 @@ class MeasurementModel:
             sensors: wrench sensors.
             links: bodies to identify (default all); the others keep the URDF's inertia.
             local_effects: effects that act at one place only, by the name of the place.
+            candidates: effects that may act at every default place of their kind without a local effect of that name.
             link_side_joints: names of the joints with effort sensors on the link side of the gear, unaffected by the
                 motor.
-            candidates: effects that may act at every default place of their kind without a local effect of that name.
             contacts: feet of a floating base; ground forces follow from the efforts of their legs.
             commanded: True if efforts are computed from commands, which may act late.
 

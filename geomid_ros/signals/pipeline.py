@@ -87,9 +87,9 @@ class SignalPipeline:
             ledger: counts all messages.
             received_joints: set to which the names of joints in messages are added.
             mount: pose of the IMU on a floating base; its messages come on IMU.
-            controller: controller of the joints: efforts are computed from commands, which come on COMMANDS.
             loads: function for the feet's loads, from which their stance follows; see
                 :class:`~geomid_ros.signals.moving_base.Stance`.
+            controller: controller of the joints: efforts are computed from commands, which come on COMMANDS.
 
         Raises:
             InputError: two topics have the same name, a gain is of an unknown joint, or the cutoff is too high.
