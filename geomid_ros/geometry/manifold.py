@@ -152,8 +152,8 @@ class ParameterManifold:
     def straight(self, base: Point, tangent: FloatArray) -> Point:
         """Return the end of a straight line of parameters that leaves ``base`` with tangent coordinates ``(D,)``.
 
-        Precise data confine the parameters to a thin slab between hyperplanes, which a geodesic soon leaves. Where the
-        line would leave the cone, the eigenvalue approaches zero instead.
+        Precise data confine the parameters to a thin slab between hyperplanes, which a geodesic soon leaves. Near the
+        boundary of the cone, an eigenvalue shrinks by a positive factor instead.
         """
         return Point(
             self._straight_links(base, tangent[self.inertial].reshape(self.links, symmetric.SIZE)),
