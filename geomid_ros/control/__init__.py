@@ -1,1 +1,1 @@
-"""Control with the identified model: feed-forward efforts for trajectories."""
+"""Control with the identified model: feed-forward efforts, and their adaptation to a payload."""

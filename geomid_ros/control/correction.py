@@ -6,8 +6,8 @@ gradient ``Y^T s`` of the tracking error in the metric ``tr(P^-1 X P^-1 Y)``, wh
 - the feedback ``K s`` is read from measured efforts, so that neither gains nor the clock of the controller are needed.
   The present correction is subtracted, as in a Smith predictor: ``r = effort - Y p`` is left, whatever the delay;
 - a step is the shortest that explains a fraction of r at all joints at once, within their noise: with rows A and r in
-  units of the noise, and A whitened at P, it is ``share A^T (A A^T + 1)^-1 r``. The loop's gain is ``share`` a step in
-  every direction that efforts show, and less in others;
+  units of the noise, and A whitened at P, it is ``fraction A^T (A A^T + 1)^-1 r``. The loop's gain per step is this
+  fraction in every direction that efforts show, and less in others;
 - it follows the geodesic ``P^1/2 exp(X) P^1/2``, which stays in the cone however long it is.
 """
 
@@ -78,7 +78,8 @@ class Adaptation:
         return self.point.parameters - self._identified.parameters
 
     def step(self, tangent: FloatArray) -> None:
-        """Follow a ``tangent (10,)``, no farther than rows are nearly linear, unless it leads out of the bound."""
+        """Follow a ``tangent (10,)``, no farther than rows are nearly linear, unless it leads further out of the
+        bound."""
         length = float(np.linalg.norm(tangent))
         end = ONE_BODY.exp(self.point, tangent * min(1.0, LARGEST_STEP / length) if length else tangent)
         distance = divergence(end, self._identified)
@@ -106,7 +107,7 @@ LONGEST_FAULT = 0.1
 LARGEST_DELAY_RATIO = 2.0
 """Allowed delay as a multiple of the delay that the gain is set for; the loop is stable up to pi times."""
 _SATURATED = 0.99  # of the effort limit
-_MEMORY = 1.0  # [s] in which a long delay, and a fault of LASTING, are forgotten
+_MEMORY = 1.0  # [s] in which a long delay, and a fault of LONGEST_FAULT, are forgotten
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,9 +208,9 @@ class Correction:
     def __init__(self, efforts: MotorEfforts, joints: Sequence[str], body: str, heaviest: float) -> None:
         """
         Args:
-            efforts: of the identified model, for motions of ``joints``.
+            efforts: efforts of the identified model, for motions of ``joints``.
             joints: names, in the order of all arrays.
-            body: that adapts.
+            body: body that adapts.
             heaviest: largest payload [kg].
 
         Raises:

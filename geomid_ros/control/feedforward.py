@@ -40,11 +40,11 @@ class MotorEfforts:
     ) -> None:
         """
         Args:
-            model: of the robot.
-            parameters: of the model ``(D,)``.
+            model: model of the robot.
+            parameters: parameters of the model ``(D,)``.
             gains: factors ``(all joints,)`` from the messages' efforts to N m (or N).
-            joints: in the order of the motion.
-            source: of the motion, for messages.
+            joints: joints in the order of the motion.
+            source: origin of the motion, for messages.
 
         Raises:
             InputError: the joints are not those of the robot, or not all efforts can be predicted.

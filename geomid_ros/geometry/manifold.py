@@ -79,7 +79,7 @@ class Point:
 
 
 def _lengthened(steps: FloatArray) -> FloatArray:
-    """Return ``1 + step`` where that is well above zero, and a smaller positive factor elsewhere."""
+    """Return ``1 + step`` where that is above one half; elsewhere, a factor that stays positive."""
     bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(steps + _STRAIGHT, 0.0)), _SMALLEST_FACTOR)
     return np.where(steps > -_STRAIGHT, 1.0 + steps, bent)
 
@@ -152,8 +152,8 @@ class ParameterManifold:
     def straight(self, base: Point, tangent: FloatArray) -> Point:
         """Return the end of a straight line of parameters that leaves ``base`` with tangent coordinates ``(D,)``.
 
-        Precise data confine the parameters to a thin slab between hyperplanes, which a geodesic soon leaves. Where the
-        line would leave the cone, the eigenvalue approaches zero instead.
+        Precise data confine the parameters to a thin slab between hyperplanes, which a geodesic soon leaves. Near the
+        boundary of the cone, an eigenvalue shrinks by a positive factor instead.
         """
         return Point(
             self._straight_links(base, tangent[self.inertial].reshape(self.links, symmetric.SIZE)),

@@ -123,7 +123,7 @@ def is_body(parameters: FloatArray) -> bool:
 
 def nearest_body(parameters: FloatArray) -> FloatArray:
     """Return the parameters ``(10,)`` of a body with the same mass (above zero) and centre of mass. Its central second
-    moments are raised to those of a steel ball of this mass, because nothing in a robot is denser."""
+    moments are raised to at least those of a steel ball of this mass, because nothing in a robot is denser."""
     mass = parameters[0]
     values, axes = np.linalg.eigh(_trace_complement(central_inertia(parameters), 0.5))
     least_moment = mass * least_gyration(mass) ** 2

@@ -114,7 +114,7 @@ async def serve(node: str, port: int | None, begin: Callable[[Board, str], Any],
 
     Args:
         node: name of the node that is shown.
-        port: to serve on; None: the default port, or any free port if that is taken.
+        port: port to serve on; None: the default port, or any free port if that is taken.
         begin: called with the board and the page's address, before the first request.
         stop: ends the server.
 

@@ -32,7 +32,7 @@ def state_of(node: str, diagnoses: Sequence[Diagnosis]) -> State | None:
 
     Args:
         node: its full name without the leading slash.
-        diagnoses: of one message, those of other nodes included.
+        diagnoses: statuses of one message, those of other nodes included.
 
     Returns:
         ``level`` and ``message`` of its stream, ``links``, ``channels``, ``topics``, ``numbers`` and ``others``

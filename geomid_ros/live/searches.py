@@ -55,7 +55,7 @@ class SearchStatus(Generic[R]):
 
     @property
     def document(self) -> dict[str, Any]:
-        """Result as a document; only the sentence, as ``error``, if the search failed."""
+        """Result as a document; only the sentence, as ``error``, if there is no result."""
         return self.result.document if self.result else {"error": self.sentence}
 
 
@@ -159,11 +159,11 @@ def look_for_gap(
     """Search for a gap in messages that the pipeline of a live session has accepted.
 
     Args:
-        session: of the node.
+        session: session of the node.
         before: estimate from before a gap opened, as the reference; None for the robot description and the configured
             model.
         earlier: messages that ``before`` is from: a remainder that they had already is no change.
-        messages: to search in.
+        messages: messages to search in.
         progress: called with the current stage.
 
     Raises:
@@ -220,7 +220,8 @@ class PayloadSearch:
         )
 
     def take_loaded(self, worker: Worker) -> tuple[bool, str]:
-        """Start to identify the payload from the motion since then. Return True if that is possible, and a sentence."""
+        """Start to identify the payload from the motion since :meth:`take_empty`. Return True if that is possible, and
+        a sentence."""
         if not self._empty:
             return False, "no motion without the payload yet: move the robot without it, and call ~/payload/empty"
         if self._search.running:

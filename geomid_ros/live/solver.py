@@ -50,7 +50,7 @@ class Solver:
     def __init__(self, session: Session, period: float, listener: Listener) -> None:
         """
         Args:
-            session: has the rows.
+            session: session with the rows.
             period: [s] between solves, at least; nothing is solved while no rows come.
             listener: receives estimates and payloads in the solver's thread.
         """
@@ -148,8 +148,8 @@ class Solver:
             return self._failures.copy()
 
     def _new_detector(self) -> ChangeDetector:
-        """Return a detector that sees each effect's default shape only. All shapes together would fit the change, and
-        take long to learn."""
+        """Return a detector that sees the first instance of each effect only. All instances together would fit the
+        change, and take long to learn."""
         model = self._session.model
         columns = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
         channels = [replace(c, columns=np.intersect1d(c.columns, columns)) for c in model.channels]
@@ -236,7 +236,7 @@ class Solver:
             self.changed_sensors = tuple(changed or ())
             for topic, channels in self._sensors.items():
                 reason = f"wrench changed: {topic}"
-                if changed is None:  # the sensor is sound
+                if changed is None:  # the robot may have changed, not a sensor
                     self._session.identifier.restore_rows(reason, 0)
                 elif topic not in changed:
                     self._session.identifier.restore_rows(reason, detector.searched_until)

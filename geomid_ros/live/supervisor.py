@@ -46,7 +46,7 @@ class Supervisor:
     ) -> None:
         """
         Args:
-            configuration: of every session.
+            configuration: configuration of every session.
             ledger: counts the messages of all workers.
             log: receives a line when a session begins.
             listener: receives the results of all workers.
@@ -161,7 +161,8 @@ class Supervisor:
                 self._log.error(str(error))
 
     def restart_hung_threads(self) -> None:
-        """End the solving process if a solve hangs; if the intake hangs, replace the worker, whose rows are lost."""
+        """End the solving process if a solve hangs; if the intake hangs, replace the worker: its rows are lost, or
+        restored from the last checkpoint."""
         worker = self.worker
         if worker is None:
             return

@@ -86,7 +86,8 @@ class Worker:
         self._inbox.request(lambda: self.solver.request(done))
 
     def recent_messages(self) -> list[AcceptedMessages]:
-        """Return the remembered messages; while a gap is open or a payload is carried, only those since then.
+        """Return the remembered messages; while a gap is open or a payload is carried, only those since
+        all rows have shown the last such change.
 
         Before and after a change the robot differs, and no single effect explains both.
         """
@@ -261,12 +262,12 @@ class Worker:
 
 def _completion_times(times: Sequence[float], blocks: Sequence[Block], stamps: IntArray) -> FloatArray:
     """Receipt time [s] of the message that completed each sample ``(N,)``. A sample is complete once every topic has a
-    message that is at least as late.
+    message that is later by at least the filter's lag.
 
     Args:
         times: [s] at which messages were received.
         blocks: these messages, decoded. If none is as late, an earlier one completed the sample: the first time counts.
-        stamps: of the samples, increasing [ns].
+        stamps: of the samples plus the lag, increasing [ns].
     """
     completed, received = np.full(len(stamps), times[0]), np.array(times)
     for block in blocks:

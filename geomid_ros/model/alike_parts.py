@@ -15,8 +15,8 @@ from geomid_ros.model.robot import Body, Robot
 from geomid_ros.types import FloatArray, frozen
 
 ALIKE_PRIOR_STD = 0.04
-"""Default prior std (geodesic) of a part about those alike: a fifth of that of a link about its CAD file. Links of a
-URDF that are farther apart than this are not alike."""
+"""Default prior std (geodesic) of a part about the parts that are alike: a fifth of a link's about its CAD file. Links
+of a URDF that are farther apart than this are not alike."""
 _REVOLUTE = "JointModelR"  # prefix of the names of pinocchio's revolute joints, about any axis
 _MIRRORS = np.array(list(product((1.0, -1.0), repeat=3)))
 

@@ -50,7 +50,7 @@ class Coefficient:
 
     @property
     def mechanism(self) -> Mechanism:
-        """Its mechanism: a model has one coefficient of each, whatever the constants of its effect."""
+        """Its mechanism: an estimate has at most one coefficient of each, whatever the constants of its effect."""
         return self.effect.name, self.place, self.index
 
     def parameters(self, value: float, std: float) -> dict[str, Quantity]:
@@ -160,7 +160,7 @@ class EffectPlaces:
         return effect in local or (everywhere and effect.name not in {other.name for other in local})
 
     def _is_measured(self, effect: IdentifiedEffect, place: Place) -> bool:
-        """True if the effort sensors are on the side of the gear where an effect acts."""
+        """False if an effect acts before a gear whose effort sensor is on the link side, which does not show it."""
         joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
         return not (effect.before_gear and joints.intersection(self.link_side_joints))
 

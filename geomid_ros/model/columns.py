@@ -38,7 +38,7 @@ class JointColumn:
     function: JointFunction
 
     def values(self, motion: Motion) -> FloatArray:
-        """Its values ``(N, J)``."""
+        """Return its values ``(N, J)``."""
         return self.function.column(motion)
 
     def affected_joints(self, joints: int) -> tuple[int, ...]:
@@ -78,8 +78,8 @@ def affected_joints(place: Place, joints: int) -> tuple[int, ...]:
 @dataclass(frozen=True)
 class Entries:
     """Entries of columns ``(joints, K)`` that can be nonzero: those of the joints that each column reaches, column by
-    column. With effects of two joints they are half of all. Columns of one pair effect are computed at once;
-    their entries come last, those of all first joints before those of all second joints."""
+    column. With effects of two joints, about half of all entries can be. Columns of one pair effect are computed at
+    once; their entries come last, those of all first joints before those of all second joints."""
 
     columns: tuple[Column, ...]
     joints: int

@@ -64,5 +64,5 @@ class PDController:
         return np.asarray(self.kp * (q_c - position) + self.kd * (v_c - velocity) + feedforward)
 
     def rate(self, commands: FloatArray) -> FloatArray:
-        """Effort rates ``(N, joints)`` [N m/s, N/s] due to the set-points, whose time derivatives are ``commands``."""
+        """Compute effort rates ``(N, joints)`` [N m/s, N/s] from ``commands``, the set-points' time derivatives."""
         return self.efforts(commands, np.zeros_like(commands[:, 0]), np.zeros_like(commands[:, 0]))

@@ -68,9 +68,9 @@ class MeasurementModel:
             sensors: wrench sensors.
             links: bodies to identify (default all); the others keep the URDF's inertia.
             local_effects: effects that act at one place only, by the name of the place.
+            candidates: effects that may act at every default place of their kind without a local effect of that name.
             link_side_joints: names of the joints with effort sensors on the link side of the gear, unaffected by the
                 motor.
-            candidates: effects that may act at every default place of their kind without a local effect of that name.
             contacts: feet of a floating base; ground forces follow from the efforts of their legs.
             commanded: True if efforts are computed from commands, which may act late.
 
@@ -230,7 +230,8 @@ class MeasurementModel:
 
     @cached_property
     def usual_shapes(self) -> dict[Mechanism, int]:
-        """Index among the D parameters of each mechanism; of several instances of an effect, that of the default."""
+        """Index among the D parameters of each mechanism; of several instances of an effect, that of the first: the
+        default if it acts everywhere, else the first of its grid."""
         first = 10 * len(self.identified)
         return {c.mechanism: first + k for k, c in reversed([*enumerate(self.coefficients)])}
 

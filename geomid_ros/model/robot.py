@@ -368,7 +368,7 @@ class Robot:
     @cached_property
     def _row_body_pairs(self) -> tuple[AnyArray, ...]:
         """All pairs of a row and a body that affects it, joint rows before base rows: arrays of the row, the body,
-        pinocchio's joint that moves the body, and the transform to that joint's frame."""
+        the index of the joint that moves the body, minus 1, and the transform to that joint's frame."""
         rows, bodies = np.nonzero(np.concatenate([self.supports, np.tile(self._moved_by >= 0, (6, 1))]))
         return rows, bodies, self._moved_by[bodies], self._to_joints[bodies]
 
@@ -509,7 +509,7 @@ class Robot:
 
     @property
     def weight(self) -> float:
-        """Weight of all links according to the URDF [N]."""
+        """Weight of all bodies according to the URDF [N]; links that are fixed to the world are not bodies."""
         return float(sum(body.parameters[0] for body in self.bodies) * np.linalg.norm(self.gravity))
 
     def base_placement(self, frame: str) -> FloatArray:

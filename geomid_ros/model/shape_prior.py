@@ -153,8 +153,8 @@ def _centre_and_variances(pseudo: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def massless_links(tree: UrdfTree, masses: Mapping[str, float]) -> tuple[list[str], list[str]]:
-    """Find moving links without mass, themselves or fixed to them: those with mass distal to them, and those without.
-    The former are correct between the axes of one joint; the latter leave their joint nothing to move."""
+    """Find moving links that have no mass, nor have the links fixed to them: those with mass distal to them, and those
+    without. The former are correct between the axes of a multi-axis joint; the latter leave their joint no load."""
     moving = [joint.child for joint in tree.joints if joint.type != "fixed"]
     massless = [link for link in moving if not _mass(tree, masses, link, through_joints=False)]
     between = [link for link in massless if _mass(tree, masses, link, through_joints=True)]

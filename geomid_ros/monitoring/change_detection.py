@@ -76,7 +76,7 @@ class ChangeDetector:
     ) -> None:
         """
         Args:
-            channels: of the model, in the order of its rows.
+            channels: channels of the model, in the order of its rows.
             forgetting_time: [s] in which the noise floor is forgotten, but not before it is known.
             payload: looks for a payload in the same rows.
         """
@@ -100,7 +100,7 @@ class ChangeDetector:
         Args:
             first: index of the first sample.
             stamps: ``(N,)`` [ns].
-            rows: of the ``N`` samples, with NaN for uninformative targets: see
+            rows: rows of the ``N`` samples, with NaN for uninformative targets: see
                 :meth:`~geomid_ros.estimation.identifier.Identifier.add`.
         """
         indices = range(first, first + len(stamps))
@@ -352,8 +352,8 @@ def changed_sensors(gaps: Sequence[ChannelGap], model: MeasurementModel) -> dict
     robot may have changed instead.
 
     Args:
-        gaps: of the monitored channels.
-        model: has the sensors.
+        gaps: states of the monitored channels.
+        model: model with the sensors.
 
     Returns:
         For the topic of each changed sensor, the index of the sample before which it was unchanged; None if the robot

@@ -1,7 +1,7 @@
 """Payload detection by change points: has the last link carried a payload since some time, and which?
 
 Three hypotheses explain the rows since each recent block: the robot is as it was; the link carries a payload, with a
-wide prior; or an unknown effect acts on every channel, as large as observed and as smooth as motions. A payload is
+wide prior; or an unknown effect acts on every channel, as large as observed and different in every block. A payload is
 accepted if its evidence exceeds both others, and dropped if the last rows are likelier without it (change points of
 product partitions: Adams, MacKay 2007).
 
@@ -184,9 +184,9 @@ class PayloadWatch:
     ) -> None:
         """
         Args:
-            channels: of the model.
-            link: that may carry a payload.
-            columns: of the link in the model.
+            channels: channels of the model.
+            link: link that may carry a payload.
+            columns: columns of the link in the model.
             links: number of columns of links; effects follow.
             prior_mean: payload ``(10,)`` at the centre of the prior.
             prior_std: prior standard deviation, a geodesic distance.
@@ -213,8 +213,8 @@ class PayloadWatch:
         Args:
             first: index of the first sample.
             stamps: ``(N,)`` [ns].
-            rows: of the ``N`` samples; uninformative targets are NaN.
-            noise: of each channel.
+            rows: rows of the ``N`` samples; uninformative targets are NaN.
+            noise: noise of each channel.
             retained: fraction of their weight that earlier rows keep.
         """
         if self.payload is None:

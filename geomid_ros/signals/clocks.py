@@ -51,7 +51,7 @@ class RegularClock:
     def __init__(self, stamps: IntArray) -> None:
         """
         Args:
-            stamps: of the first messages [ns], which are still to be passed to :meth:`times`.
+            stamps: stamps of the first messages [ns], which are still to be passed to :meth:`times`.
         """
         steps = np.diff(stamps)
         ends = np.flatnonzero(steps > np.mean(steps))
@@ -112,7 +112,7 @@ class VelocityCheck:
         """Take filtered velocities of samples.
 
         Args:
-            given: from the messages ``(N, joints)``, NaN where there are none.
+            given: velocities in the messages ``(N, joints)``, NaN where there are none.
             derived: derivatives of positions ``(N, joints)``.
 
         Returns:

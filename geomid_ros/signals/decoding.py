@@ -80,7 +80,7 @@ class Decoder:
         """Decode messages into as few blocks as possible.
 
         Args:
-            messages: in their order of arrival.
+            messages: messages in their order of arrival.
             refuse: ``refuse(place, why)`` receives messages that are not of their topic's type.
         """
         groups: defaultdict[tuple[str, int], list[int]] = defaultdict(list)

@@ -81,7 +81,7 @@ class SaturationDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Restart after a clock was set back. What was learned is kept."""
+        """Restart after a clock was set or positions leapt. What was learned is kept."""
         self._stamp, self._last = 0, np.full(self._joints, np.nan)  # of the last message
         self._largest_since = np.zeros(self._joints, dtype=np.int64)
         self._last_below = np.full(self._joints, self._messages)  # number of the last message with a smaller effort

@@ -40,7 +40,7 @@ class JointGate(Gate):
     def __init__(self, joints: tuple[str, ...], limits: FloatArray, turning: BoolArray, max_gap: int) -> None:
         """
         Args:
-            joints: of the messages.
+            joints: joints of the messages.
             limits: ``(2, joints)`` the URDF's limits of speeds and efforts, infinite where it has none.
             turning: ``(joints,)`` True for revolute joints, for which a whole turn is no jump.
             max_gap: [ns] messages further apart are not compared.

@@ -46,7 +46,7 @@ class JointReader:
     ) -> None:
         """
         Args:
-            joints: the robot's, in its order.
+            joints: joints of the robot, in its order.
             gains: ``(joints,)`` factors of efforts.
             continuous: ``(joints,)`` True for joints without limits: their positions may jump by whole turns.
             max_gap: [ns].
@@ -67,9 +67,9 @@ class JointReader:
         self.restart()
 
     def restart(self) -> None:
-        """Restart after a clock was set back."""
+        """Restart after a clock was set or positions leapt."""
         self._stamp = 0
-        self._last = np.full((3, len(self._joints)), np.inf)  # numbers of the last message, as sent
+        self._last = np.full((3, len(self._joints)), np.inf)  # of the last message, before efforts were checked
         self._raw: FloatArray | None = None  # its positions before turns were added
         self._turns = np.zeros(len(self._joints))  # whole turns that are added
         self._came, self._speed = 0, 0.0  # stamp and speed of the last message

@@ -40,7 +40,7 @@ class JointStateMerger:
     ) -> None:
         """
         Args:
-            joints: the robot's.
+            joints: joints of the robot.
             max_gap: [ns].
             resolved: [ns] longest period at which efforts can be filtered.
             make_reader: makes the reader of a part's messages.
@@ -58,7 +58,7 @@ class JointStateMerger:
         self.restart()
 
     def restart(self) -> None:
-        """Restart after a clock was set back."""
+        """Restart after a clock was set or positions leapt."""
         for reader in self.readers.values():
             reader.restart()
         self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}

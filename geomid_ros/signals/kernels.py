@@ -61,7 +61,7 @@ def filtered(
 
     Args:
         values: ``(N, K)``, one row every ``period``.
-        cutoff: of the low-pass [Hz], limited to the highest that the period allows.
+        cutoff: cutoff of the low-pass [Hz], limited to the highest that the period allows.
         period: [s].
         at: requested rows ``(n,)``; all rows if omitted.
 

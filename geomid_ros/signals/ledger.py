@@ -56,8 +56,8 @@ def meaning_of(reason: str) -> Meaning:
 class Account:
     """Counts of a topic's messages.
 
-    ``accepted``: used; ``rejected``, by reason: unusable for their content; ``dropped``, by reason: not read. ``noted``
-    are remarks, mostly on accepted messages; ``lost``: published, but never received.
+    ``accepted``: used; ``rejected``, by reason: unusable for their content; ``dropped``, by reason: not processed.
+    ``noted`` are remarks, mostly on accepted messages; ``lost``: published, but never received.
     """
 
     accepted: int = 0
@@ -119,7 +119,7 @@ class Ledger:
             count_reason(self._account(topic).rejected, reason, count)
 
     def drop(self, topic: str, reason: str, count: int = 1) -> None:
-        """Count messages as not read."""
+        """Count messages as not processed."""
         with self._lock:
             count_reason(self._account(topic).dropped, reason, count)
 

@@ -146,8 +146,8 @@ def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
     """Return a sentence on why messages with these names do not have all joints; empty if they do.
 
     Args:
-        joints: the robot's.
-        names: in the messages.
+        joints: joints of the robot.
+        names: joint names in the messages.
     """
     present = set(names)
     missing = next((joint for joint in joints if joint not in present), None)

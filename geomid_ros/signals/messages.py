@@ -157,7 +157,7 @@ def parse(topic: str, message: Any) -> Message:
 
     Args:
         topic: its name in the pipeline: JOINT_STATES, COMMANDS, ODOM, IMU, or that of a declared wrench sensor.
-        message: of the type :func:`message_type` of this topic.
+        message: message of the type :func:`message_type` of this topic.
 
     Raises:
         AttributeError, TypeError or ValueError: it is no such message.

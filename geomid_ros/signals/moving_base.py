@@ -103,9 +103,9 @@ class Stance:
     def __init__(self, loads: Callable[[Samples], FloatArray], cutoff: float) -> None:
         """
         Args:
-            loads: fractions ``(N, feet)`` of the weight that the feet bear, see
-                :meth:`~geomid_ros.model.contacts.Legs.loads`.
-            cutoff: of the low-pass on all signals [Hz].
+            loads: function that computes the load of each foot ``(N, feet)``, as a fraction of weight / number of feet
+                (:meth:`~geomid_ros.model.contacts.Legs.loads`).
+            cutoff: cutoff of the low-pass on all signals [Hz].
         """
         self._loads = loads
         self._span = round(1e9 / cutoff)  # [ns] by which the low-pass smears a change to both sides

@@ -74,10 +74,10 @@ class SignalPipeline:
     ) -> None:
         """
         Args:
-            joints: the robot's, in its order.
+            joints: joints of the robot, in its order.
             floating_base: True if the base moves: its pose comes on ODOM, unless it has an IMU.
             sensors: the wrench sensors, in the order of samples.
-            settings: of the filter and of efforts.
+            settings: settings of the filter and of efforts.
             continuous: joints without limits: their positions may jump by whole turns between messages, and are wrapped
                 to -pi to pi in samples.
             turning: revolute joints: a step of a whole turn in their positions is caused by the driver, and is undone.
@@ -86,9 +86,10 @@ class SignalPipeline:
             on_accepted: called with all accepted messages, in the form that :meth:`push_accepted` takes.
             ledger: counts all messages.
             received_joints: set to which the names of joints in messages are added.
-            mount: of the IMU on a floating base, whose messages come on IMU.
-            controller: of the joints: efforts are those of commands, which come on COMMANDS.
-            loads: of the feet, whose stance samples contain; see :class:`~geomid_ros.signals.moving_base.Stance`.
+            mount: pose of the IMU on a floating base; its messages come on IMU.
+            loads: function for the feet's loads, from which their stance follows; see
+                :class:`~geomid_ros.signals.moving_base.Stance`.
+            controller: controller of the joints: efforts are computed from commands, which come on COMMANDS.
 
         Raises:
             InputError: two topics have the same name, a gain is of an unknown joint, or the cutoff is too high.
@@ -113,7 +114,7 @@ class SignalPipeline:
         self._admission = ReorderBuffer(self._new_gate, self.ledger.note)
         self._arrived = 0  # number of messages
         self._open: Counter[str] = Counter()  # messages that are not yet accounted for
-        self._joined: list[tuple[int, Part, int, FloatArray]] = []  # messages that wait for those of other joints
+        self._joined: list[tuple[int, Part, int, FloatArray]] = []  # messages to merge with those of other joints
         base = [ODOM if mount is None else IMU] if floating_base else []
         topics = (*self._sensors, *base)
         self._sampler = Sampler(
@@ -158,7 +159,8 @@ class SignalPipeline:
         return self._parts.silent
 
     def push(self, messages: Message | Sequence[Block]) -> None:
-        """Take messages; unusable ones are counted. If this fails, all unprocessed messages are dropped and counted.
+        """Take messages; unusable ones are counted. If this fails, the unprocessed ones are dropped and counted, except
+        those that wait for a decision.
 
         Raises:
             InputError: a sensor was not declared, or the cutoff is too high for the rate of the messages.
@@ -183,7 +185,7 @@ class SignalPipeline:
 
     @contextmanager
     def _dropping(self) -> Iterator[None]:
-        """Drop and count unprocessed messages if the block inside fails."""
+        """If the code inside fails, drop and count unprocessed messages, except those that wait for a decision."""
         try:
             yield
         except Exception as error:

@@ -26,7 +26,7 @@ FROM_THE_FUTURE, TOO_OLD = "stamp from the future", "stamp too old"
 _REASONS = (NOT_LATER, FROM_THE_FUTURE, TOO_OLD)
 PAUSE = "pause: a new segment begins"
 SET_BACK = "clock set back: a new segment begins"
-FEW = 3  # messages: a fault is no longer; so many in order, each after a pause, are of a slow topic
+FEW = 3  # messages of the longest fault; so many in order, each after a pause, show a slow topic
 _TO_CONFIRM_A_RESET = 10  # messages, as a few late ones do not mean that a clock was set back
 
 Source: TypeAlias = tuple[str, tuple[str, ...]]
@@ -104,8 +104,8 @@ class Gate:
         return decided, notes
 
     def begin_anew(self, decided: MessageBatch) -> MessageBatch:
-        """Reset the gate. Return the messages that were ``decided`` since then, and the waiting ones, without its
-        refusals."""
+        """Reset the gate. Return the ``decided`` messages, which must be decided on again, and the waiting ones,
+        without its refusals."""
         arrived = MessageBatch.joined([decided, self.waiting])
         self.waiting, self._stamp, self._decided = NO_MESSAGES, 0, 0
         arrived.refusals[[refusal in _REASONS for refusal in arrived.refusals]] = None

@@ -51,13 +51,13 @@ class Sampler:
     ) -> None:
         """
         Args:
-            settings: of the filter.
+            settings: settings of the filter.
             continuous: ``(joints,)`` True for joints without limits; their positions are from -pi to pi in samples.
-            topics: of wrench sensors, and ODOM or IMU of a floating base; joint topics are not listed.
+            topics: topics of wrench sensors, and ODOM or IMU of a floating base; joint topics are not listed.
             effect_columns: columns of effects that samples contain.
             ledger: counts accepted messages that are dropped.
-            mount: of the IMU.
-            controller: of the joints, if efforts are those of commands.
+            mount: pose of the IMU on the base.
+            controller: controller of the joints, if efforts are computed from commands.
         """
         self._settings = settings
         self._continuous = continuous
@@ -94,7 +94,7 @@ class Sampler:
             self._take(accepted)
 
     def restart(self) -> None:
-        """Restart after a clock was set back."""
+        """Restart after a clock was set or positions leapt."""
         self.make_samples()
         self._waiting.clear()
         self._newest.clear()

@@ -57,7 +57,8 @@ class UnitreeMessages:
 
     @cached_property
     def _gains(self) -> FloatArray:
-        """Gains kp and kd ``(2, motors)``, NaN where there are none. Raises InputError for motors that no robot has."""
+        """Gains kp and kd ``(2, motors)``, NaN where there are none. Raises InputError for too many motors, or a joint
+        that is not once among them."""
         wrong = [joint for joint in self.joints if self.motors.count(joint) != 1]
         if wrong or len(self.motors) > _MOTORS:
             raise InputError(

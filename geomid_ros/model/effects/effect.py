@@ -89,7 +89,7 @@ class Effect(ABC):
     count: ClassVar[int] = 1
     """Number of coefficients of its columns, without those of its other :attr:`parts`."""
     constant: ClassVar[str] = ""
-    """Parameter that enters nonlinearly: the field of the instances in which the :meth:`grid` differ."""
+    """Parameter that enters nonlinearly: the field in which the instances of :meth:`grid` differ."""
     default_constant: ClassVar[str] = ""
     """Another such field and parameter, which files leave out if it has the class's default."""
     compensated_in_samples: ClassVar[bool] = False
@@ -129,7 +129,7 @@ class Effect(ABC):
 
     @property
     def grid_value(self) -> float:
-        """Value of the constant in which variants differ, above zero; 0 if there is nothing to choose."""
+        """Value of the constant in which the instances of :meth:`grid` differ, above zero; 0 if it has none."""
         return float(getattr(self, self.constant)) if self.constant else 0.0
 
     @property

@@ -74,7 +74,7 @@ class CoulombFriction(JointEffect):
 
     @classmethod
     def coarse_grid(cls) -> tuple[Effect, ...]:
-        """Return all variants, because the shape of dry friction is not known beforehand."""
+        """Return the whole grid, because the shape of dry friction is not known beforehand."""
         return cls.grid()
 
     def column(self, motion: JointMotion) -> FloatArray:
@@ -254,8 +254,8 @@ class SaturatingFriction(JointEffect):
 
     @classmethod
     def grid(cls) -> tuple[Effect, ...]:
-        """Return the speeds of :data:`SETTING_IN` at which it is neither nearly dry nor nearly viscous friction. A
-        change of these should be reported under the simpler name."""
+        """Return the speeds of :data:`SETTING_IN` at which it is neither nearly dry nor nearly viscous friction.
+        Changes of those should be reported under the simpler name."""
         return tuple(cls(speed) for speed in SETTING_IN[2:])
 
     @classmethod
@@ -316,7 +316,7 @@ class Presliding(JointEffect):
 
     @classmethod
     def coarse_grid(cls) -> tuple[Effect, ...]:
-        """Return all variants."""
+        """Return the whole grid."""
         return cls.grid()
 
     def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:

@@ -45,7 +45,7 @@ class OnLink:
 @dataclass(frozen=True)
 class AtSensor:
     """Place at a wrench sensor, by its topic, or on a floating base: its axes are these ``channels`` of the measurement
-    model (range of indices)."""
+    model (indices)."""
 
     topic: str
     channels: tuple[int, ...]
@@ -154,7 +154,7 @@ class Situation(Sensitivity):
         transmitted: gear loads ``(N, J)``: the same efforts plus friction and springs on the link side of the gears.
         gravity: gravity in the frame of a level base ``(3,)`` [m/s^2].
         coefficients: coefficients of the model's effects, by the effect's name and place.
-        from_load_history: applies a function to the load's history, and returns its values for the N samples.
+        from_load_history: applies a function to the load's history; returns its :data:`Derivatives` at the N samples.
     """
 
     sign: FloatArray
