@@ -84,8 +84,8 @@ class DesignTask:
 
 @dataclass(frozen=True)
 class ExpectedDiscrimination:
-    """Expected difference of the scores of an effect and its rival (-2 log p, in the worse case of which one is true),
-    after the designed motion and after a ``random`` one."""
+    """Expected difference of the scores (-2 log p) of an effect and its rival, at least, whichever of the two
+    is true: after the designed motion and after a ``random`` one."""
 
     found: str
     rival: str
@@ -99,7 +99,7 @@ class ExpectedDiscrimination:
 
     @property
     def sentence(self) -> str:
-        """The decision in words."""
+        """The expected discrimination in words."""
         summary = (
             f"{self.found} or {self.rival}: after this motion their scores differ by {self.difference:.3g} or more, "
             f"after a random one by {self.random:.3g}"

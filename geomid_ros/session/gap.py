@@ -101,7 +101,7 @@ def message_rate(stamps: Sequence[int]) -> float:
 
 
 def gap_cutoff(session: Session, rate: float) -> float:
-    """Low-pass cutoff [Hz] for ``message_rate`` joint messages per second: the configured one, or what the rate
+    """Low-pass cutoff [Hz] for joint messages at this ``rate`` [Hz]: the configured one, or what the rate
     allows."""
     if "filter.cutoff" in session.configuration.given_values:
         return float(session.configuration["filter.cutoff"])
@@ -181,8 +181,8 @@ def _posterior_of(session: Session) -> Posterior | None:
 
 
 def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[OtherRecordings, FloatArray]:
-    """Information of a posterior's data on the parameters of a model, relative to its estimate; and the prior standard
-    deviations ``(D,)`` of its effects, NaN where it has none."""
+    """Information of a posterior's data on the parameters of a model, relative to its estimate; and its prior
+    standard deviations ``(D,)``, valid for effects only, NaN where it has none."""
     order, (rows, _) = places_in(posterior, model), posterior.evidence
     prior_stds = np.abs(np.diag(posterior.jacobian)) * posterior.prior_stds
     known = OtherRecordings(
