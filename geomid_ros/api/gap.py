@@ -130,7 +130,7 @@ class Gap:
             The same path.
 
         Raises:
-            InputError: the file cannot be written.
+            GeomidError: the file cannot be written.
         """
         page = GapPage(
             file=GapFile.of(self.document, "gap.json"),
@@ -156,7 +156,7 @@ class Gap:
             The files; the model is estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
 
         Raises:
-            InputError: a file cannot be written.
+            GeomidError: a file cannot be written.
         """
         with staged(Path(folder)) as stage:
             page = [self.report(stage / "report.html", progress=progress)] if report else []

@@ -146,7 +146,7 @@ def _set_by(options: Options) -> dict[str, Any]:
 
 
 def check_command_efforts(options: RobotOptions, parameters: Configuration) -> Configuration:
-    """Return the ``parameters`` if nothing is simulated. Raises InputError if the set-points would be ignored."""
+    """Return the ``parameters`` of a command that simulates nothing. Raises InputError for --command without gains."""
     if options.command is not None and not parameters.gains:
         raise InputError(
             f"--command {options.command} without --gains: here set-points serve as efforts, by the gains of their "
