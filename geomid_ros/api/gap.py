@@ -73,11 +73,11 @@ class Gap:
 
     @cached_property
     def handover(self) -> FileTest | None:
-        """Prediction error of the description for :attr:`reader` on the held-out samples, after its reader has loaded
-        it. None with a simulator of the user's, because the rest of the model is in that simulator.
+        """Prediction error of the description for :attr:`reader` on the held-out samples, loaded by MuJoCo or
+        pinocchio. None with a simulator of the user's, because the rest of the model is in that simulator.
 
         Raises:
-            InputError: the reader rejects it.
+            InputError: that program rejects it.
         """
         if self.with_simulator:
             return None

@@ -111,10 +111,10 @@ class Identification:
 
     @cached_property
     def handover(self) -> FileTest:
-        """Prediction error of :attr:`written` on :attr:`judged`, after its reader has loaded it again.
+        """Prediction error of :attr:`written` on :attr:`judged`, loaded again by MuJoCo or pinocchio.
 
         Raises:
-            InputError: the reader rejects it.
+            InputError: that program rejects it.
         """
         return self.written.evaluate(self.judged, self.rms)
 

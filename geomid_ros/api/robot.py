@@ -112,7 +112,7 @@ def configuration(options: DescriptionOptions, model: PathLike | None = None, **
     """Return the parameters of ``config`` combined with the other options.
 
     Args:
-        options: which robot it is.
+        options: ``config``, and the options that set parameters.
         model: an estimate.json to start from.
         values: further parameters by their full names.
 

@@ -65,7 +65,7 @@ _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignTask:
-    """A robot, its limits and surroundings, and the prior knowledge of it.
+    """A robot, its limits and obstacles, and the belief before a motion.
 
     Attributes:
         feasibility: constraints on a motion.
@@ -330,7 +330,7 @@ def _ambiguity(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
 
 
 def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> NamedEffect:
-    """Name of the found effect; of its variants, the one with the constants that were found comes first."""
+    """The found effect with its variants; the one with the constants that were found comes first."""
     any_of = _any(model, finding.effect, finding.joint, finding.link)
     if isinstance(any_of.place, OnLink):
         return any_of

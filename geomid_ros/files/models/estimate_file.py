@@ -99,7 +99,7 @@ class AddedEffect(KnownEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class CoefficientEntry:
-    """An effect of one coefficient at a joint; ``from_data``: fraction of its uncertainty that the data removed."""
+    """An effect of one coefficient at a joint; ``from_data``: fraction of its prior variance that the data removed."""
 
     name: str
     joint: str
@@ -438,7 +438,7 @@ def estimate_document(
 
 
 def shares_from_data(estimate: Estimate) -> dict[tuple[str, str], float]:
-    """Fraction of an effect's uncertainty that the data removed, by name and place: the mean over its coefficients."""
+    """Fraction of the prior variance that the data removed, by effect and place: the mean over its coefficients."""
     fractions: dict[tuple[str, str], list[float]] = {}
     for effect in estimate.effects:
         fractions.setdefault((effect.name, effect.joint), []).append(effect.from_data)
