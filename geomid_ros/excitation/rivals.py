@@ -120,7 +120,7 @@ class DiscriminationCriterion:
     def __init__(self, belief: Belief, ambiguities: Sequence[Ambiguity]) -> None:
         self._knowledge, self.ambiguities = belief, ambiguities
         self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
-        """Variant and coefficients with which each rival imitates the finding, by ambiguity and rival."""
+        """Index of the variant and coefficients with which a rival imitates the finding, by ambiguity and rival."""
 
     def prepare(self, reference: ExcitingMotion) -> None:
         """Fit each rival to its finding on a ``reference`` motion, and scale it to leave as much effort unexplained."""

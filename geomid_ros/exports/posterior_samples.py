@@ -41,7 +41,7 @@ from geomid_ros.types import FloatArray
 BAND = (0.025, 0.975)
 """Quantiles at the ends of 95 % ranges."""
 ENOUGH = 1000
-"""Number of robots that these quantiles are computed from."""
+"""Least number of robots that these quantiles are computed from."""
 
 
 @dataclass(frozen=True, eq=False)
