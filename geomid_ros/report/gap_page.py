@@ -241,7 +241,7 @@ def _simulation_bars(run: Resimulated) -> Bars:
 
 
 def _channels_to_draw(result: GapResult) -> list[int]:
-    """Channels to draw: those with findings or unexplained; the most improved ones if none, or a finding is robot-wide."""
+    """Channels to draw: those with findings or unexplained; the most improved ones if none, or one is robot-wide."""
     if result.verdict == "no gap" or not len(result.trace.stamps):
         return []
     places = [finding.joint for finding in result.findings] + [entry.joint for entry in result.unexplained]

@@ -170,8 +170,8 @@ def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatAr
 
 
 def _posterior_of(session: Session) -> Posterior | None:
-    """Joint posterior of the model's links and effects, if there is one. Raises InputError if the file next to the
-    model does not belong to it."""
+    """Joint posterior of the model's links and effects; None if there is none. Raises InputError if the file next to
+    the model does not belong to it."""
     loaded, posterior = session.loaded, session.loaded.posterior
     path = Path(loaded.source).with_name(POSTERIOR)
     if posterior is None and path.is_file():
@@ -192,7 +192,7 @@ def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[Othe
 
 
 def known_remainder_of(session: Session) -> KnownRemainder | None:
-    """Remainder of the session's model where it was identified. If it is not known, a note is added to the review."""
+    """Remainder of the session's identified model; None for a URDF, or, with a note in the review, if none fits."""
     source = session.loaded.source
     if session.loaded.links_information is None:
         return None
