@@ -77,7 +77,7 @@ class Comparison(ComparisonPage):
             The same path.
 
         Raises:
-            InputError: the file cannot be written.
+            GeomidError: the file cannot be written.
         """
         write_comparison_page(Path(path), self)
         return Path(path)

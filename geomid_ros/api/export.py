@@ -147,7 +147,7 @@ class SampledRobots:
             The files.
 
         Raises:
-            InputError: a file cannot be written.
+            GeomidError: a file cannot be written.
         """
         out, files = Path(folder), list[Path]()
         for name, text in self.texts:

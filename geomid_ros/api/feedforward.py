@@ -26,7 +26,7 @@ LONGEST = 600.0
 
 @dataclass(frozen=True, eq=False)
 class Feedforward:
-    """The ``trajectory`` with efforts in the unit of the robot's messages, computed from ``given`` points.
+    """The ``trajectory`` with efforts in the unit of the robot's messages. The user's trajectory has ``given`` points.
 
     Attributes:
         session: the robot and its model.

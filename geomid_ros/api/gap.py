@@ -73,11 +73,11 @@ class Gap:
 
     @cached_property
     def handover(self) -> FileTest | None:
-        """Prediction error of the description for :attr:`reader` on the held-out samples, after its reader has loaded
-        it. None with a simulator of the user's, because the rest of the model is in that simulator.
+        """Prediction error of the description for :attr:`reader` on the held-out samples, loaded by MuJoCo or
+        pinocchio. None with a simulator of the user's, because the rest of the model is in that simulator.
 
         Raises:
-            InputError: the reader rejects it.
+            InputError: that program rejects it.
         """
         if self.with_simulator:
             return None
@@ -130,7 +130,7 @@ class Gap:
             The same path.
 
         Raises:
-            InputError: the file cannot be written.
+            GeomidError: the file cannot be written.
         """
         page = GapPage(
             file=GapFile.of(self.document, "gap.json"),
@@ -156,7 +156,7 @@ class Gap:
             The files; the model is estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
 
         Raises:
-            InputError: a file cannot be written.
+            GeomidError: a file cannot be written.
         """
         with staged(Path(folder)) as stage:
             page = [self.report(stage / "report.html", progress=progress)] if report else []

@@ -111,10 +111,10 @@ class Identification:
 
     @cached_property
     def handover(self) -> FileTest:
-        """Prediction error of :attr:`written` on :attr:`judged`, after its reader has loaded it again.
+        """Prediction error of :attr:`written` on :attr:`judged`, loaded again by MuJoCo or pinocchio.
 
         Raises:
-            InputError: the reader rejects it.
+            InputError: that program rejects it.
         """
         return self.written.evaluate(self.judged, self.rms)
 
@@ -260,7 +260,7 @@ class Identification:
             The same path.
 
         Raises:
-            InputError: the file cannot be written.
+            GeomidError: the file cannot be written.
         """
         file = EstimateFile.of(self._document(command), "estimate.json")
         write_identification_page(Path(path), file, self._series)
@@ -287,7 +287,7 @@ class Identification:
             The files.
 
         Raises:
-            InputError: a file cannot be written.
+            GeomidError: a file cannot be written.
         """
         with staged(Path(folder)) as stage:
             files = self._write(stage, progress, command)

@@ -112,7 +112,7 @@ def configuration(options: DescriptionOptions, model: PathLike | None = None, **
     """Return the parameters of ``config`` combined with the other options.
 
     Args:
-        options: which robot it is.
+        options: ``config``, and the options that set parameters.
         model: an estimate.json to start from.
         values: further parameters by their full names.
 
@@ -146,7 +146,7 @@ def _set_by(options: Options) -> dict[str, Any]:
 
 
 def check_command_efforts(options: RobotOptions, parameters: Configuration) -> Configuration:
-    """Return the ``parameters`` if nothing is simulated. Raises InputError if the set-points would be ignored."""
+    """Return the ``parameters`` of a command that simulates nothing. Raises InputError for --command without gains."""
     if options.command is not None and not parameters.gains:
         raise InputError(
             f"--command {options.command} without --gains: here set-points serve as efforts, by the gains of their "

@@ -1,7 +1,7 @@
 """Verification of a model on disk against a recording and against requirements of the user.
 
 A requirement is ``[PLACE.]QUANTITY COMPARISON BOUND`` (``rms<2*floor``, ``joint2.rms<1.5``, ``total.mass<24``).
-Without a place it applies to every place where the quantity and its reference are measured and known. Quantities:
+Without a place it applies to every place but ``total`` where quantity and reference are measured and known. Quantities:
 
 - ``rms``, of a channel: RMS of the residual of the model on the recording [N m, N];
 - ``mass``, of a link, or of all links together, ``total``: [kg];
@@ -169,7 +169,7 @@ Values = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True)
 class Requirement:
-    """Requirement that a ``quantity`` at a ``place`` (empty: at all) satisfies ``comparison`` with ``factor`` times the
+    """Requirement that a ``quantity`` at a ``place`` (empty: all) satisfies ``comparison`` with ``factor`` times the
     ``reference``, which is empty for a plain number. ``text`` is what the user wrote."""
 
     text: str

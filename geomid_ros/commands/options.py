@@ -145,7 +145,7 @@ def _declared(metadata: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _help(text: str, settings: Mapping[str, Any]) -> str:
-    """Return the help of an option: its sentence, if it may be repeated, and its default."""
+    """Return the help of an option: its sentence, whether it may be repeated, and its default."""
     sentence, _, default = text.partition(" [default: ")
     sentence = sentence[0].upper() + sentence[1:].removesuffix(".")
     names = settings.get("type")

@@ -95,8 +95,8 @@ class Belief:
         return float(np.sqrt(np.sum(weight * self.posterior.covariance)))
 
     def quantity_stds(self) -> tuple[FloatArray, FloatArray]:
-        """Standard deviations of the links' quantities ``(links, 10)``, in the order of :data:`QUANTITIES`, and of the
-        effects' coefficients ``(effects,)``."""
+        """Standard deviations of the links' quantities ``(links, 10)``, in the order of QUANTITIES, and of the effects'
+        coefficients ``(effects,)``."""
         manifold, point = self.posterior.manifold, self.posterior.point
         covariance = self.posterior.covariance
         sensitivity = physical_sensitivity(point)

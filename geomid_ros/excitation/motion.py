@@ -246,5 +246,5 @@ class ExcitingMotion:
         return states
 
     def scaled(self, factor: FloatArray | float) -> ExcitingMotion:
-        """Shrink the motion towards its start, by one factor or by one per joint."""
+        """Scale the displacement from the start, by one factor or by one per joint."""
         return ExcitingMotion(self.form, self.start, self.coefficients * factor)

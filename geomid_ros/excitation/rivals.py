@@ -115,12 +115,12 @@ def coefficients_of(effect: type[Effect], values: Values, parts: Sequence[Effect
 
 
 class DiscriminationCriterion:
-    """Criterion of how clearly a motion decides disputes between named effects."""
+    """Criterion of how well a motion discriminates between the rivals of each ambiguity."""
 
     def __init__(self, belief: Belief, ambiguities: Sequence[Ambiguity]) -> None:
         self._knowledge, self.ambiguities = belief, ambiguities
         self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
-        """Variant and coefficients with which each rival imitates the finding, by ambiguity and rival."""
+        """Index of the variant and coefficients with which a rival imitates the finding, by ambiguity and rival."""
 
     def prepare(self, reference: ExcitingMotion) -> None:
         """Fit each rival to its finding on a ``reference`` motion, and scale it to leave as much effort unexplained."""
@@ -135,7 +135,7 @@ class DiscriminationCriterion:
                 self.imitations[i, j] = best, size * fits[best][1]
 
     def differences(self, motion: ExcitingMotion) -> list[list[float]]:
-        """Smallest expected difference of -2 log p, for each dispute and rival, whichever of the two is true.
+        """Smallest expected difference of -2 log p, for each ambiguity and rival, whichever of the two is true.
         An effect with more parameters has to make up for them (BIC)."""
         rows, columns = self._at(motion)
         penalty = float(np.log(ROWS_PER_SECOND * motion.form.duration * len(motion.start)))
@@ -157,7 +157,7 @@ class DiscriminationCriterion:
         return by_dispute
 
     def smallest_difference(self, motion: ExcitingMotion) -> float:
-        """Smallest difference of all disputes and rivals."""
+        """Smallest difference of all ambiguities and rivals."""
         return min(difference for differences in self.differences(motion) for difference in differences)
 
     def _nuisance(

@@ -31,7 +31,7 @@ _COST = 300.0  # penalty of exceeding a limit by 100 % at every sample; it grows
 _NEAR = 2.0  # distances below so many clearances are penalised
 
 Criterion = Callable[[FloatArray], tuple[float, FloatArray]]
-"""From rows ``(N, C, D)`` in units of the noise to the logarithm of the error to minimise, and its gradient."""
+"""From rows ``(N, C, D)`` in units of the noise to the logarithm of the squared error to minimise, and its gradient."""
 
 
 def random_motion(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> ExcitingMotion:
@@ -41,7 +41,7 @@ def random_motion(feasibility: Feasibility, form: MotionForm, random: np.random.
 
 
 def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionForm) -> Criterion:
-    """Criterion: the trace of a ``weight (D, D)`` times the covariance after a motion of that form."""
+    """Criterion: log of the trace of a ``weight (D, D)`` times the covariance after a motion of that form."""
     knowledge = feasibility.belief
     precision = knowledge.precision
 

@@ -175,4 +175,4 @@ DESCRIPTIONS = {
     "drake": DescriptionFormat(_DRAKE_NOTE, formats.urdf_inertial, _drake),
     "mujoco": DescriptionFormat(_MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
 }
-"""Formats by reader: one for each of :data:`DESCRIBED_FOR`."""
+"""Formats by reader: one for each of :data:`~geomid_ros.files.models.readers.DESCRIBED_FOR`."""

@@ -94,7 +94,7 @@ def franka_commands(export: Export) -> str:
 CONTROLLERS = {"ur": PayloadFormat("tool0", ur_commands), "franka": PayloadFormat("link8", franka_commands)}
 """Formats of controllers that accept a payload, by the name of the reader."""
 JSON = "json"
-"""Reader of all sampled robots in one file, with links and effects as in ``estimate.json``."""
+"""Name of the format with all sampled robots in one file, with links and effects as in ``estimate.json``."""
 
 
 def urdf_inertial(export: Export) -> str:

@@ -1,4 +1,4 @@
-"""Handover of a robot description: written, loaded again by the program that reads it, and tested in that form."""
+"""Handover of a robot description: written, loaded again by MuJoCo or pinocchio, and tested in that form."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ class DescriptionTest:
 
     def evaluate(self, batches: Sequence[Samples], full_rms: Mapping[str, float]) -> FileTest:
         """Test the file on samples. ``full_rms``: residual RMS of the full estimate on them, by channel. Raises
-        InputError if the program rejects the file."""
+        InputError if MuJoCo or pinocchio rejects it."""
         effects = model_effects(self.estimate, self.session.loaded.effects)
         lacks = {
             channel.name: unrepresentable(
@@ -327,7 +327,7 @@ def evaluate_description(
     errors: FloatArray | None = None,
     omitted_effects: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> FileTest:
-    """Test a description on samples, loaded by the program that reads it.
+    """Test a description on samples, loaded by MuJoCo if it is an MJCF, else by pinocchio.
 
     Args:
         session: the robot, and the description that was given.
@@ -339,7 +339,7 @@ def evaluate_description(
         omitted_effects: effects of the estimate that the description cannot represent, by channel.
 
     Raises:
-        InputError: the program rejects the description.
+        InputError: MuJoCo or pinocchio rejects the description.
     """
     name, program = file_name(reader), "MuJoCo" if reader == MUJOCO else "pinocchio"
     if reader == MUJOCO:

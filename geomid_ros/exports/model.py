@@ -41,11 +41,11 @@ class ExportModel:
         bodies: the links with a mass.
         urdf: URDF text with the inertias; ``urdf_path`` is its file.
         effects: effects in addition to the bodies, without payloads that are links of the URDF.
-        known: all effects of the estimate, including those that its reader cannot represent.
+        known: all effects of the estimate but payloads, including those that its reader cannot represent.
         estimated: the identified links.
         warning: why the model should not be used, in a sentence; empty if nothing speaks against it.
         gravity: ``(3,)`` [m/s^2] with the base upright.
-        fitted: True if bodies and effects were fitted for the reader.
+        fitted: False if the estimate has no fit of bodies and effects for the reader.
     """
 
     source: str

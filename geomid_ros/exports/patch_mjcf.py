@@ -32,7 +32,7 @@ class UserMjcf:
         path: the file.
         text: its content.
         placements: homogeneous matrices ``(4, 4)`` from links to the bodies of the same names.
-        joints: those of its joints that the model has values for.
+        joints: names of its joints.
         emptied: bodies that are merged into others.
     """
 

@@ -41,7 +41,7 @@ from geomid_ros.types import FloatArray
 BAND = (0.025, 0.975)
 """Quantiles at the ends of 95 % ranges."""
 ENOUGH = 1000
-"""Number of robots that these quantiles are computed from."""
+"""Least number of robots that these quantiles are computed from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +119,10 @@ class DrawnRobots:
 
 
 def sample_robots(path: Path, count: int, seed: int, std_factor: float) -> DrawnRobots:
-    """Sample ``count`` robots from the posterior beside an ``estimate.json``, standard deviations times ``std_factor``.
+    """Sample ``count`` robots from the posterior next to an ``estimate.json``, with all stds times ``std_factor``.
 
     Raises:
-        InputError: there is no posterior beside it, or it is of another estimate.
+        InputError: there is no posterior next to it, or it is of another estimate.
     """
     model = read_model(path)
     if not model.estimated:

@@ -92,11 +92,11 @@ def identify_payload_at(
     """Identify the payload at a link of the URDF.
 
     Args:
-        session: of :func:`payload_session`.
+        session: of :func:`~geomid_ros.session.payload.payload_session`.
         empty: samples without the payload, or the posterior of an earlier estimate.
         loaded: samples with the payload.
         frame: the flange; empty for the last moving link.
-        gain: see :func:`weigh`.
+        gain: see :func:`~geomid_ros.session.payload.identify_payload`.
 
     Raises:
         InputError: the frame is unknown or fixed to no moving link, or nothing was measured.

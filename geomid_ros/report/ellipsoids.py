@@ -41,7 +41,7 @@ class BodyDrawing:
         origin: origin of its frame in the world, ``(3,)`` [m].
         parent_origin: start of the stick to it, ``(3,)`` [m]; None for no stick.
         prior, identified: its body before and after.
-        from_data: fraction of the estimate that came from data, 0 to 1.
+        from_data: fraction of the prior variance that the data removed, 0 to 1.
     """
 
     name: str

@@ -47,7 +47,7 @@ class Picture:
 
 @dataclass(frozen=True, kw_only=True)
 class _Panel:
-    """Axes ``height`` [pt] high below the ``top`` [pt] of a picture, with limits of ``x`` and of ``y``."""
+    """Axes ``height`` [pt] high, ``top`` [pt] below the upper edge of a picture, with limits of ``x`` and of ``y``."""
 
     top: float
     height: float
@@ -241,7 +241,7 @@ def _simulation_bars(run: Resimulated) -> Bars:
 
 
 def _channels_to_draw(result: GapResult) -> list[int]:
-    """Channels whose residual is drawn: those with named or missing effects, then the most improved ones."""
+    """Channels to draw: those with findings or unexplained; the most improved ones if none, or one is robot-wide."""
     if result.verdict == "no gap" or not len(result.trace.stamps):
         return []
     places = [finding.joint for finding in result.findings] + [entry.joint for entry in result.unexplained]

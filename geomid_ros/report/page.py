@@ -160,7 +160,7 @@ def _whole(values: FloatArray) -> IntArray:
 
 
 def number(value: float) -> str:
-    """Format with three digits, and an exponent only where that is shorter."""
+    """Format with three digits or more; below 1e-3 and from 1e5 on, with two digits and an exponent."""
     if not np.isfinite(value):
         return NONE
     if value == 0.0:

@@ -145,7 +145,7 @@ def write_fleet_page(path: Path, page: FleetPage) -> None:
 
 
 WEAK = 0.5
-"""Fraction of an effect's uncertainty removed by the data; an effect below it is weakly identified."""
+"""Fraction of an effect's prior variance that the data removed; an effect below it is weakly identified."""
 
 _GROUPS = (("c", "centre of mass"), ("I", "inertia"))
 _KINDS = {"before": "URDF", "after": "identified"}

@@ -64,7 +64,7 @@ class FittedController:
 
 @dataclass(frozen=True, eq=False)
 class _Commanded:
-    """Stretch with its set-points and feed-forward efforts, each ``(N, J)``."""
+    """Segment with its set-points and feed-forward efforts, each ``(N, J)``."""
 
     stretch: UniformSegment
     position: FloatArray
@@ -139,7 +139,7 @@ def tracking(
 def _prepared(
     model: MeasurementModel, files: Sequence[ModelFiles], recordings: Sequence[Samples], commands: Sequence[Samples]
 ) -> tuple[list[_Commanded], list[WrittenRobot], FittedController]:
-    """Stretches with their commands, the robots of ``files``, and the controller, fitted with the last robot.
+    """Segments with their commands, the robots of ``files``, and the controller, fitted with the last robot.
 
     Raises NotSimulatedError.
     """
@@ -214,7 +214,7 @@ def _undelayed_efforts(stretch: UniformSegment, robot: WrittenRobot) -> FloatArr
 
 
 def _simulated(part: _Commanded, controller: FittedController, *robots: WrittenRobot) -> SimulatedEfforts:
-    """Efforts of a stretch, measured and simulated with the robots before and after the findings."""
+    """Efforts of a segment, measured and simulated with the robots before and after the findings."""
     efforts = (_simulated_effort(part, controller, robot) for robot in robots)
     return SimulatedEfforts(part.stretch.times, part.stretch.samples.effort, *efforts)
 

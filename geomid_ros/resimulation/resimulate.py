@@ -23,12 +23,12 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 # Long enough for the noise of efforts to average out, short enough for errors not to grow by themselves: in this time
 # an error of 1 grows to 1.1 in an arm that falls like a pendulum of half a metre.
 HORIZON = 0.1  # [s]
-_MOST_STEPS = 30_000  # of all windows of a stretch together; beyond, only evenly spaced windows are simulated
+_MOST_STEPS = 30_000  # of all windows of a segment together; beyond, only evenly spaced windows are simulated
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows of one stretch, each of ``intervals`` sampling periods; ``starts (W,)`` index its samples."""
+    """Windows of one segment, each of ``intervals`` sampling periods; ``starts (W,)`` index its samples."""
 
     segment: UniformSegment
     starts: IntArray
@@ -44,7 +44,7 @@ class Windows:
 
     @staticmethod
     def one_window(segment: UniformSegment) -> Windows:
-        """Return a whole stretch as one window."""
+        """Return a whole segment as one window."""
         return Windows(segment, np.zeros(1, dtype=np.int64), len(segment.times) - 1)
 
     @property
@@ -263,7 +263,7 @@ class NotSimulatedError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class SimulatedEfforts:
-    """Joint efforts in one stretch, in closed loop: ``times (N,)`` [s], the ``measured`` ones, and the simulated ones
+    """Joint efforts in one segment, in closed loop: ``times (N,)`` [s], the ``measured`` ones, and the simulated ones
     ``before`` and ``after`` the findings, each ``(N, J)``."""
 
     times: FloatArray
@@ -280,7 +280,7 @@ class Resimulated:
         kind: Short windows or closed loop.
         before, after: RMS error by joint (velocity at the window's end, or effort in closed loop) or wrench channel
             (mean), in units of the errors that noise alone causes; without channels that cannot be evaluated.
-        efforts: Efforts of each stretch in closed loop; empty if the result is read from a file.
+        efforts: Efforts of each segment in closed loop; empty if the result is read from a file.
     """
 
     kind: Kind
@@ -297,7 +297,7 @@ class Resimulated:
 def resimulate(
     model: MeasurementModel, before: ModelFiles, after: ModelFiles, recordings: Sequence[Samples], noise: ResidualNoise
 ) -> Resimulated:
-    """Simulate ``recordings`` in windows of :data:`~geomid_ros.resimulation.resimulate.LONGEST_TOPIC_LAG`.
+    """Simulate ``recordings`` in windows of :data:`HORIZON`.
 
     Each starts from the measured position and velocity and runs under the measured efforts, corrected by the sidecar's
     sensor effects. A joint whose effort is not measured, or that does not move, follows its measured motion and is not
@@ -335,7 +335,7 @@ def in_units(
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """Errors of a stretch's windows, each ``(W, channels)``, and the changes due to noise ``(draws W, channels)``."""
+    """Errors of a segment's windows, each ``(W, channels)``, and the changes due to noise ``(draws W, channels)``."""
 
     before: FloatArray
     after: FloatArray

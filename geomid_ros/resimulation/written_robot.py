@@ -44,7 +44,7 @@ class WrittenRobot:
         self.dofs: IntArray = np.array([names[joint] for joint in joints], dtype=np.int64)
         self.gears = {names[name]: name for name in names if name.rpartition("/")[0] in joints}
         self._read_effects(files)
-        # Friction of a joint at rest; its change with motion is in unsaid_friction.
+        # Friction of a joint at rest; its change with motion is in sidecar_friction.
         self.model.dof_frictionloss[self.dofs] += self._rest_friction
         # Forces of the stops at a range's ends are not measured; the stops of a backlash stay.
         self.model.jnt_limited[self.dofs] = 0

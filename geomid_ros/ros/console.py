@@ -20,8 +20,8 @@ _MOST_KINDS = 200  # bound on remembered sentences, as names in them are from ou
 class Console:
     """Log in which every entry is one printable line, whatever names it contains.
 
-    A complaint is logged if two diagnostics in a row have it, and then once a minute. News are logged at once, and the
-    same ones at most once a minute. Sentences that differ only in numbers are the same.
+    A complaint is logged if two diagnostics in a row have it, and then once a minute. One-off events are logged at
+    once, and the same ones at most once a minute. Sentences that differ only in numbers are the same.
     """
 
     def __init__(self, log: Log) -> None:
@@ -53,7 +53,7 @@ class Console:
         self._before = set(kinds)
 
     def log_events(self, sentences: Iterable[str]) -> None:
-        """Log news."""
+        """Log one-off events."""
         for sentence in sentences:
             if self._was_long_ago(_kind(sentence)):
                 self.info(sentence)

@@ -1,4 +1,4 @@
-"""Diagnostics: one status for each link, one for the stream, with one scalar for each key (REP 107)."""
+"""Diagnostics: a status for each link, the stream, search, payload and checkpoints; a scalar per key (REP 107)."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Diagnostics:
     def array(
         self, status: Status, search: SearchStatus[FoundGap] | None = None, checkpoints: CheckpointStatus | None = None
     ) -> DiagnosticArray:
-        """Return the state of the stream and of every link.
+        """Return the state of the stream, of search, payload and checkpoints if there are any, and of every link.
 
         Args:
             status: of the session.

@@ -280,7 +280,7 @@ class Configuration:
 
     @property
     def candidates(self) -> list[IdentifiedEffect]:
-        """Effects to identify where the data require them; if any, including other shapes of the effects everywhere."""
+        """Effects to identify where the data need them; if there are any, also other shapes of :attr:`effects`."""
         keys = ("effects", "candidates") if self["candidates"] else ()
         trials = [trial for key in keys for effect in self._named(key) for trial in type(effect).coarse_grid()]
         return [effect for effect in trials if isinstance(effect, IdentifiedEffect) and effect not in self.effects]

@@ -65,7 +65,7 @@ _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignTask:
-    """A robot, its limits and surroundings, and the prior knowledge of it.
+    """A robot, its limits and obstacles, and the belief before a motion.
 
     Attributes:
         feasibility: constraints on a motion.
@@ -84,8 +84,8 @@ class DesignTask:
 
 @dataclass(frozen=True)
 class ExpectedDiscrimination:
-    """Expected difference of the scores of an effect and its rival (-2 log p, in the worse case of which one is true),
-    after the designed motion and after a ``random`` one."""
+    """Expected difference of the scores (-2 log p) of an effect and its rival, at least, whichever of the two
+    is true: after the designed motion and after a ``random`` one."""
 
     found: str
     rival: str
@@ -99,7 +99,7 @@ class ExpectedDiscrimination:
 
     @property
     def sentence(self) -> str:
-        """The decision in words."""
+        """The expected discrimination in words."""
         summary = (
             f"{self.found} or {self.rival}: after this motion their scores differ by {self.difference:.3g} or more, "
             f"after a random one by {self.random:.3g}"
@@ -330,7 +330,7 @@ def _ambiguity(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
 
 
 def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> NamedEffect:
-    """Name of the found effect; of its variants, the one with the constants that were found comes first."""
+    """The found effect with its variants; the one with the constants that were found comes first."""
     any_of = _any(model, finding.effect, finding.joint, finding.link)
     if isinstance(any_of.place, OnLink):
         return any_of

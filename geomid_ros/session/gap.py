@@ -101,7 +101,7 @@ def message_rate(stamps: Sequence[int]) -> float:
 
 
 def gap_cutoff(session: Session, rate: float) -> float:
-    """Low-pass cutoff [Hz] for ``message_rate`` joint messages per second: the configured one, or what the rate
+    """Low-pass cutoff [Hz] for joint messages at this ``rate`` [Hz]: the configured one, or what the rate
     allows."""
     if "filter.cutoff" in session.configuration.given_values:
         return float(session.configuration["filter.cutoff"])
@@ -170,8 +170,8 @@ def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatAr
 
 
 def _posterior_of(session: Session) -> Posterior | None:
-    """Joint posterior of the model's links and effects, if there is one. Raises InputError if the file next to the
-    model does not belong to it."""
+    """Joint posterior of the model's links and effects; None if there is none. Raises InputError if the file next to
+    the model does not belong to it."""
     loaded, posterior = session.loaded, session.loaded.posterior
     path = Path(loaded.source).with_name(POSTERIOR)
     if posterior is None and path.is_file():
@@ -181,8 +181,8 @@ def _posterior_of(session: Session) -> Posterior | None:
 
 
 def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[OtherRecordings, FloatArray]:
-    """Information of a posterior's data on the parameters of a model, relative to its estimate; and the prior standard
-    deviations ``(D,)`` of its effects, NaN where it has none."""
+    """Information of a posterior's data on the parameters of a model, relative to its estimate; and its prior
+    standard deviations ``(D,)``, valid for effects only, NaN where it has none."""
     order, (rows, _) = places_in(posterior, model), posterior.evidence
     prior_stds = np.abs(np.diag(posterior.jacobian)) * posterior.prior_stds
     known = OtherRecordings(
@@ -192,7 +192,7 @@ def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[Othe
 
 
 def known_remainder_of(session: Session) -> KnownRemainder | None:
-    """Remainder of the session's model where it was identified. If it is not known, a note is added to the review."""
+    """Remainder of the session's identified model; None for a URDF, or, with a note in the review, if none fits."""
     source = session.loaded.source
     if session.loaded.links_information is None:
         return None

@@ -40,7 +40,7 @@ class WeighedPayload(UncertainInertia):
         std: standard deviations ``(10,)``, including the uncertain gain of the efforts.
         moment, moment_std: mass times centre of mass ``(3,)`` [kg m], and standard deviations: identified by gravity
             even if the mass is not.
-        gain: standard deviation of the gain that was assumed.
+        gain: relative standard deviation of the effort gain that was assumed.
         identified_moments: axes along which the first moment is identified.
         rms: RMS residual on both recordings by channel [N m, N].
         warnings: reasons to suspect the result.
@@ -68,7 +68,7 @@ class WeighedPayload(UncertainInertia):
 
 
 def payload_session(urdf: str, configuration: Configuration, source: str) -> Session:
-    """Create a session without springs and load-dependent friction as candidates, as these imitate a payload.
+    """Create a session without candidate effects, as springs and load-dependent friction imitate a payload.
 
     Raises:
         InputError: the description and the configuration do not fit together.
@@ -77,9 +77,8 @@ def payload_session(urdf: str, configuration: Configuration, source: str) -> Ses
 
 
 def payload_watch(session: Session, channels: Sequence[Channel], surprise: float) -> PayloadWatch | None:
-    """Create a watch for a payload at the flange, in rows of these ``channels``; None if no link is known to carry one.
-
-    ``surprise``: see :class:`PayloadWatch`.
+    """Create a watch for a payload at the flange, in rows of these ``channels``; None if the base moves, or if the link
+    is not identified. ``surprise``: the ``threshold`` of :class:`PayloadWatch`.
     """
     model, configuration = session.model, session.configuration
     frame = configuration["payload.frame"]

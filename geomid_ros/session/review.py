@@ -105,7 +105,7 @@ def is_continuous(accounts: Mapping[str, Account]) -> bool:
 
 
 def peculiarities(accounts: Mapping[str, Account]) -> list[str]:
-    """Remarks on refused or peculiar messages, although the others can be used."""
+    """Remarks on refused or peculiar messages of topics whose other messages can be used."""
     remarks = []
     for topic, account in accounts.items():
         if +account.rejected:

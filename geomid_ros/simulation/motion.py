@@ -13,7 +13,7 @@ from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.types import FloatArray, IntArray
 
 FADE_IN = 2.0
-"""Time [s] from rest to full amplitude; afterwards the motion is periodic."""
+"""Time [s] from rest to full amplitude; afterwards ``sines`` are periodic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def _sum_of_sines(times: FloatArray, frequency: FloatArray, rng: np.random.Gener
 
 
 def _chirp(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> SetPoints:
-    """Sines with frequencies that rise linearly from about the slowest to the fastest, each joint from another one."""
+    """Sines whose frequencies rise linearly from about the slowest to the fastest; each joint starts at another one."""
     slow, fast = 1.0 / options.motion_period, options.motion_harmonics / options.motion_period
     start = slow * rng.uniform(0.7, 1.5, joints)
     rise = (fast - start) / max(times[-1], 1e-9)

@@ -62,7 +62,7 @@ class LuGre:
         return bent
 
     def force(self, z: FloatArray, velocity: FloatArray, dry: FloatArray, cold: FloatArray | float = 1.0) -> FloatArray:
-        """Friction ``(n,)`` [N m], opposite to the motion; viscous friction is ``cold`` times its warm value."""
+        """Friction ``(n,)`` [N m], positive for positive velocity; viscous friction: ``cold`` times its warm value."""
         rate = velocity - np.abs(velocity) * self.stiffness * z / dry
         force: FloatArray = (
             self.stiffness * z + self.damping * self._slow(velocity) * rate + cold * self.viscous * velocity

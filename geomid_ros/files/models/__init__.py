@@ -1,1 +1,1 @@
-"""Model files: URDF, MJCF, estimate.json, effects.yaml, gap.json."""
+"""Model files: URDF, MJCF, estimate.json, posterior.npz, population.json, effects.yaml, gap.json."""

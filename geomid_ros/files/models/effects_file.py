@@ -98,7 +98,7 @@ def coefficients_of(model: MeasurementModel, effects: Iterable[KnownEffect]) -> 
 
 def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, dict[str, float]]:
     """Attributes of a joint's ``element`` according to the effects, added up, by joint. The element is ``dynamics`` in
-    a URDF, ``joint`` in an MJCF, ``actuator`` in a URDF for Drake, ``gazebo`` in one for Gazebo."""
+    a URDF, ``joint`` or ``tendon`` in an MJCF, ``actuator`` in a URDF for Drake, ``gazebo`` in one for Gazebo."""
     attributes: dict[str, dict[str, float]] = {}
     for effect in effects:
         forms, values = effect_class(effect.effect).parameters, values_of(effect)

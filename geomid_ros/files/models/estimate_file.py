@@ -71,13 +71,13 @@ class InertiaEntry:
 
     @property
     def quantities(self) -> FloatArray:
-        """The same ``(10,)`` in the order of :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`."""
+        """These numbers ``(10,)`` in the order of :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`."""
         return np.concatenate([[self.mass], self.com, pseudo_inertia.inertia_entries(self.inertia)])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinkEntry(InertiaEntry):
-    """A link. The written model of a gap has only its inertia, an estimate has the other fields, too."""
+    """A link. The model written by ``geomid gap`` has only its inertia and ``merged``; an estimate has all fields."""
 
     name: str
     merged: tuple[str, ...] | None = None
@@ -92,14 +92,14 @@ class LinkEntry(InertiaEntry):
 
 @dataclass(frozen=True, kw_only=True)
 class AddedEffect(KnownEffect):
-    """An effect of any other form, with the fraction of its uncertainty that the data removed, if known."""
+    """An effect that is no single coefficient at a joint; ``from_data``: see :class:`CoefficientEntry`."""
 
     from_data: float = math.nan
 
 
 @dataclass(frozen=True, kw_only=True)
 class CoefficientEntry:
-    """An effect of one coefficient at a joint."""
+    """An effect of one coefficient at a joint; ``from_data``: fraction of its prior variance that the data removed."""
 
     name: str
     joint: str
@@ -438,7 +438,7 @@ def estimate_document(
 
 
 def shares_from_data(estimate: Estimate) -> dict[tuple[str, str], float]:
-    """Fraction of an effect's uncertainty that the data removed, by name and place: the mean over its coefficients."""
+    """Fraction of the prior variance that the data removed, by effect and place: the mean over its coefficients."""
     fractions: dict[tuple[str, str], list[float]] = {}
     for effect in estimate.effects:
         fractions.setdefault((effect.name, effect.joint), []).append(effect.from_data)

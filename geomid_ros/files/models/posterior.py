@@ -1,8 +1,8 @@
 """``posterior.npz``: the joint posterior of links and effects, and the model's remainder, next to ``estimate.json``.
 
 A NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format``, ``links`` (``name``, ``merged``) and
-``effects`` (``name``, ``place``, ``parameter``, ``unit``, ``positive``). The arrays of float64 are the fields of the
-same names of :class:`~geomid_ros.estimation.posterior.Posterior`, which describes their coordinates.
+``effects`` (``name``, ``place``, ``parameter``, ``unit``, ``positive``). The float64 arrays are fields of
+:class:`~geomid_ros.estimation.posterior.Posterior`, which describes them; ``prior_spreads`` is ``prior_stds``.
 
 From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
 :class:`~geomid_ros.gap.evidence.features.KnownRemainder`. Then ``knots`` are those of its basis. Each channel has

@@ -152,7 +152,7 @@ _OF_DRAKE = re.compile(rb"\s*<drake:(?:rotor_inertia|gear_ratio)\b[^>]*/>")
 
 def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
     """Add reflected rotor inertias to ``urdf`` at the actuators of its transmissions; a joint without a transmission
-    gets one. Drake: ``multibody/parsing/parsing_doxygen.h``, tag_drake_rotor_inertia."""
+    gets one. Deletes massless inertials. Drake: ``multibody/parsing/parsing_doxygen.h``, tag_drake_rotor_inertia."""
     data = urdf.encode()
     transmissions = {
         joint.get("name"): transmission.get("name")

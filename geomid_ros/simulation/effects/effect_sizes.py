@@ -262,7 +262,7 @@ def _joint(request: Hidden, robot: Description, others: list[TrueEffect], rng: n
 
 
 def _drawn_link(robot: Description, rng: np.random.Generator) -> str:
-    """Draw the last link with a mass in most cases, else one from the middle on."""
+    """Draw the last moving link with a mass in most cases, else one of the last two thirds."""
     moving = [body.name for body in robot.inertias if robot.moved_by(body.name)]
     return moving[-1] if rng.uniform() < 0.6 else str(rng.choice(moving[len(moving) // 3 :]))
 

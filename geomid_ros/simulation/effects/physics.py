@@ -2,7 +2,7 @@
 sets constants of MuJoCo's model, ``STRUCTURE`` adds bodies and hinges before it is compiled, ``MEASURED`` changes the
 recorded samples.
 
-A new effect is one small function, named after it, in one of these tables, and a public function in ``choice.py``.
+A new effect is a small function, named after it, in one of these tables, and a public function in ``effect_sizes.py``.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class TrueEffect:
     """True effect ``name`` at ``joint``, with the values of its ``parameters``.
 
     ``joint`` is empty for the whole robot, and the topic for a wrench sensor. ``link`` is that of a payload; ``other``
-    is the second joint of an effect that depends on two. ``choice.py`` describes the parameters and their units.
+    is the second joint of an effect that depends on two. ``effect_sizes.py`` describes the parameters and their units.
     """
 
     name: str
