@@ -33,7 +33,7 @@ def option(default: Any = None, **declared: Any) -> Any:
         default: default value.
         declared: ``choices`` of a text; ``min`` and ``max`` of a number, with ``min_open`` or ``max_open`` if that end
             is excluded; ``sets``: the node's parameter that it sets. For the command line: ``flag``, if it has another
-            name there; ``metavar``; ``or_none``, if a list may be empty.
+            name there; ``earlier``: its flag in the last release; ``metavar``; ``or_none``, if a list may be empty.
     """
     return field(default=default, metadata=declared)
 

@@ -124,16 +124,17 @@ def _option(field: Field[Any], text: str) -> Decorator:
     """Return the option declared by a field."""
     settings = _KINDS.get(str(field.type), {}) | _declared(field.metadata)
     flag = settings.pop("flag", f"--{field.name.replace('_', '-')}")
+    names = [settings.pop("earlier")] if "earlier" in settings else []
     if field.default is True:
         flag = f"{flag}/--no-{field.name}"
     if field.default not in (None, ()):
         settings |= {"default": field.default, "show_default": True}
-    return click.option(flag, field.name, **settings, help=_help(text, settings))
+    return click.option(flag, *names, field.name, **settings, help=_help(text, settings))
 
 
 def _declared(metadata: Mapping[str, Any]) -> dict[str, Any]:
     """Return the form of an option from its declaration."""
-    settings = {name: metadata[name] for name in ("flag", "metavar") if name in metadata}
+    settings = {name: metadata[name] for name in ("flag", "earlier", "metavar") if name in metadata}
     if "choices" in metadata:
         settings["type"] = click.Choice(metadata["choices"])
     if "min" in metadata:

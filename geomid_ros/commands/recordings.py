@@ -75,7 +75,7 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
         show_gap(result)
         print_written(files, out, report=report)
         if is_open(result.result):
-            arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--settle", out / "gap.json")
+            arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--discriminate", out / "gap.json")
             click.echo(f"To discriminate between the rivals: geomid excite {shlex.join(map(str, arguments))}")
     sys.exit(result.status)
 

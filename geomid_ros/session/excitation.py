@@ -259,7 +259,7 @@ def design(task: DesignTask, options: MotionOptions) -> Excitation:
     """Search for a motion, and predict its benefit."""
     random, feasibility = np.random.default_rng(options.seed), task.feasibility
     discrimination, labels = (
-        (None, []) if options.settle is None else rival_effects(task.feasibility, Path(options.settle))
+        (None, []) if options.discriminate is None else rival_effects(task.feasibility, Path(options.discriminate))
     )
     others = typical_motions(feasibility, task.form, random, _OTHERS)
     weight = aim_weight(options.aim, task.belief, others)

@@ -97,7 +97,7 @@ class MotionOptions(Surroundings, DescriptionOptions):
         wrench: wrench sensor that will be recorded, too; ROLE is mounted or external.
         model: target what this estimate.json left uncertain; posterior.npz must be in the same folder.
         aim: what to identify: prediction (of efforts in other motions), friction, payload or link:NAME.
-        settle: discriminate between the rival effects of this gap.json.
+        discriminate: discriminate between the rival effects of this gap.json.
         limits: joint limits, in the format of MoveIt's joint_limits.yaml.
         duration: total duration [s].
         repeats: number of repetitions.
@@ -109,7 +109,7 @@ class MotionOptions(Surroundings, DescriptionOptions):
 
     model: PathLike | None = option(flag="--from")
     aim: str = option("prediction", flag="--for", metavar="AIM")
-    settle: PathLike | None = None
+    discriminate: PathLike | None = option(earlier="--settle")
     limits: PathLike | None = None
     duration: float = option(20.0, min=2.0, max=600.0)
     repeats: int = option(2, min=1, max=20)

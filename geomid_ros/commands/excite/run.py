@@ -133,7 +133,7 @@ class LearnOptions(MotionOptions, RunOptions):
 
 
 @click.command()
-@options_of(LearnOptions, without=("settle",))
+@options_of(LearnOptions, without=("discriminate",))
 @click.option(
     "--until",
     default="5%",
