@@ -261,7 +261,7 @@ class Robot:
         mass = parameters[0]
         if mass <= 0.0:
             raise InputError(
-                f"{self.source}: link '{head}'{merged} has a mass of {mass:.3g} kg; it must be positive; correct the "
+                f"{self.source}: link '{head}'{merged} has a mass of {mass:.3g} kg; it must be positive; correct the"
                 " <inertial> in the URDF"
             )
         repaired = pseudo_inertia.nearest_body(parameters)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.excitation.belief import ExpectedUncertainty
-from geomid_ros.files.disk import make_folder, write_json
+from geomid_ros.files.disk import check_writable, make_folder, write_json
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.schema import FORMAT, attributes_entry
 from geomid_ros.files.trajectories import write_bag, write_csv, write_yaml
@@ -27,6 +27,7 @@ from geomid_ros.types import FloatArray
 
 def save(found: Excitation, folder: Path) -> list[Path]:
     """Write all files of a motion into a folder; return their paths. Raises GeomidError naming a file."""
+    check_writable(folder)
     make_folder(folder)
     names = ("trajectory.yaml", "trajectory.csv", "trajectory_bag", "excitation.json", "excitation.png", "motion.html")
     yaml, csv, bag, document, picture, page = (folder / name for name in names)

@@ -16,7 +16,8 @@ import pytest
 from excitation.arm import small_task, urdf
 from scipy.spatial import ConvexHull
 
-from geomid_ros.report.excitation import corners, write_motion_page
+from geomid_ros.errors import GeomidError
+from geomid_ros.report.excitation import corners, save, write_motion_page
 from geomid_ros.session.excitation import Excitation, design
 from geomid_ros.session.options import MotionOptions
 
@@ -155,3 +156,9 @@ drawn = [];
 told.canvas.pointermove({ clientX: 50, clientY: 0 });
 console.log("turned", JSON.stringify(drawn) !== unturned);
 """
+
+
+def test_a_folder_that_cannot_be_made_is_named(found: Excitation, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GeomidError, match=f"{tmp_path}/file/motion: cannot be written"):
+        save(found, tmp_path / "file" / "motion")
