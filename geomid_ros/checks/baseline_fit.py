@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from geomid_ros.checks.evidence import SPREAD, Evidence, Unknowns, evidence
+from geomid_ros.checks.evidence import PRIOR_STD, Evidence, Unknowns, evidence
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
 from geomid_ros.model.samples import REST_SPEED
@@ -174,7 +174,7 @@ def _curves(position: FloatArray, friction: FloatArray, predicted: FloatArray) -
     load = np.abs(_standardised(predicted - np.mean(predicted, axis=0)))
     bent, cubic = place**2 - 1.0, place**3 - 3.0 * place
     creeping = sign * np.exp(-(speed**2))
-    return SPREAD * np.stack([place, bent, cubic, speed * np.abs(speed), creeping, load * sign], axis=2)
+    return PRIOR_STD * np.stack([place, bent, cubic, speed * np.abs(speed), creeping, load * sign], axis=2)
 
 
 def _standardised(values: FloatArray) -> FloatArray:

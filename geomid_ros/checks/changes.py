@@ -17,7 +17,7 @@ from geomid_ros.checks.baseline_fit import EvidenceGain, by_channel
 from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, STEP, TILT, CandidateFit, FaultCandidate
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
 from geomid_ros.checks.effort_data import STRETCHES, EffortData
-from geomid_ros.checks.evidence import MOST, SPREAD, payload_factor
+from geomid_ros.checks.evidence import MOST, PRIOR_STD, payload_factor
 from geomid_ros.checks.sample_reservoir import FEWEST, elapsed
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.types import BoolArray, FloatArray
@@ -117,7 +117,7 @@ def _kinds(subject: EffortData) -> Iterator[_Kind]:
 
     def steps(gain: EvidenceGain) -> FloatArray:
         first = np.std(subject.baseline_fit.link_efforts, axis=0) / np.maximum(np.std(gain.link_efforts, axis=0), 1e-9)
-        return np.asarray(SPREAD * gain.coefficients * (first if len(gain.coefficients) > 1 else np.median(first)))
+        return np.asarray(PRIOR_STD * gain.coefficients * (first if len(gain.coefficients) > 1 else np.median(first)))
 
     def drift(gain: EvidenceGain, when: str) -> _Named | None:
         main = _main(steps(gain))
@@ -128,8 +128,8 @@ def _kinds(subject: EffortData) -> Iterator[_Kind]:
         cause = Cause.of("drift", names if every else [names[main[0]]], when=when, factor=factor, all_joints=every)
         return cause, ... if every else main
 
-    yield _Kind(lambda of: SPREAD * of.baseline_fit.link_efforts[:, :, None], drift, True)
-    yield _Kind(lambda of: by_channel(SPREAD * of.baseline_fit.link_efforts[:, :, None]), drift, True)
+    yield _Kind(lambda of: PRIOR_STD * of.baseline_fit.link_efforts[:, :, None], drift, True)
+    yield _Kind(lambda of: by_channel(PRIOR_STD * of.baseline_fit.link_efforts[:, :, None]), drift, True)
 
     def switched(gain: EvidenceGain, when: str) -> _Named | None:
         is_gone = round(float(gain.coefficients[0])) == -1

@@ -30,7 +30,7 @@ LARGEST_RESIDUAL = 0.6
 MOST = 0.5
 """Fraction of a whole: more is most of it."""
 _SETTLED = 1e-3
-SPREAD = 0.7
+PRIOR_STD = 0.7
 """Prior standard deviation of links (a geodesic distance), of gains, and of curves in units of a channel: a mass may be
 half or twice that of the URDF."""
 
@@ -214,7 +214,7 @@ def prior_factor(robot: Robot) -> FloatArray:
     bodies = np.array([body.parameters for body in robot.bodies])
     manifold = ParameterManifold(len(bodies), 0, np.zeros(0))
     blocks, _ = manifold.jacobian(manifold.point(bodies.ravel()))
-    covariance = SPREAD**2 * blocks @ blocks.transpose(0, 2, 1)
+    covariance = PRIOR_STD**2 * blocks @ blocks.transpose(0, 2, 1)
     for index, body in enumerate(robot.bodies):
         if len(robot.subtree(body.name)) == 1:
             payload = payload_factor(bodies, index)

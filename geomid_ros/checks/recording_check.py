@@ -20,7 +20,7 @@ from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples, RecentMotion, SampleReservoir
 from geomid_ros.checks.transforms import transforms
 from geomid_ros.checks.unexplained import badly_explained, hint, rms
-from geomid_ros.checks.wrench_sensors import WrenchSensorCheck, can_be_judged
+from geomid_ros.checks.wrench_sensors import WrenchSensorCheck, can_be_checked
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.controller import PDController
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -77,14 +77,14 @@ class CheckTask:
         if self.controller and (gain_findings := wrong_gains(self.controller, kept.samples, robot.joint_names)):
             return CheckResult(gain_findings)
         if no_external_forces(self.model):
-            return judge_efforts(self.model, kept, self.gains, whole=continuous)
+            return check_efforts(self.model, kept, self.gains, whole=continuous)
         if legs is None:
             return CheckResult()
         findings = (*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples))
         return CheckResult(findings or (() if standing is None else gyroscope(legs, standing)))
 
     def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> tuple[RecordingFault, ...]:
-        if excerpt.recent_motion is None or not can_be_judged(sensor):
+        if excerpt.recent_motion is None or not can_be_checked(sensor):
             return ()
         name = self.sensors.get(sensor.topic, sensor.topic)
         return WrenchSensorCheck(self.model, sensor, name, excerpt.kept.samples, excerpt.recent_motion).findings()
@@ -162,7 +162,7 @@ class RecordingCheck:
         return [name for name, is_measured in zip(model.robot.joint_names, measured, strict=True) if not is_measured]
 
 
-def judge_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray, *, whole: bool = True) -> CheckResult:
+def check_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray, *, whole: bool = True) -> CheckResult:
     """Check the efforts of a recording.
 
     Args:

@@ -201,7 +201,7 @@ def _described(rotation: FloatArray, frame: str) -> str:
     return f"x, y, z of '{frame}' are its {named}"
 
 
-def can_be_judged(sensor: WrenchSensor) -> bool:
+def can_be_checked(sensor: WrenchSensor) -> bool:
     """True if the weight outboard of a sensor decides on it: it is mounted and measures all axes."""
     return sensor.role == "mounted" and tuple(sensor.axes) == AXES
 

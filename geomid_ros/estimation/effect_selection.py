@@ -63,7 +63,7 @@ def choose(
 def _grown(fit: CoefficientFit) -> CoefficientFit:
     """Add the optional effects that the rows support, and remove those that they do not."""
     rows = fit.rows
-    fit = _without_unbelieved(_shaped(fit, range(len(rows.problem.model.robot.joints))))
+    fit = _without_insignificant(_shaped(fit, range(len(rows.problem.model.robot.joints))))
     tried: set[Mechanism] = set()
     while len(candidates := rows.candidates(fit.all_columns, tried)):
         column, larger = _best(fit, candidates)
@@ -72,7 +72,7 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
         tried.add(rows.mechanism(column))
         if np.all(larger.is_plausible) and larger.leaves_less(fit, _VISIBLE):
             fit = _shaped(larger, joints_of(rows.coefficient(column).place))
-    return _without_unbelieved(fit)
+    return _without_insignificant(fit)
 
 
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
@@ -102,7 +102,7 @@ def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
     return best
 
 
-def _without_unbelieved(fit: CoefficientFit) -> CoefficientFit:
+def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
     """Remove the optional effects that are implausible or not significant, the least significant first."""
     while len(fit.chosen_columns):
         squares = fit.is_plausible * fit.squares_of(fit.chosen_columns)

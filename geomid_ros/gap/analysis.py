@@ -24,7 +24,7 @@ from geomid_ros.types import BoolArray, FloatArray
 _ROUNDS = 6
 _REFITS = 3  # more rounds, without a search
 _SETTLED = 0.5  # standard deviations
-_TOLD_BY_ROWS = 0.25  # directions per row; leaves most of the noise unchanged
+_DIRECTIONS_PER_ROW = 0.25  # directions per row; leaves most of the noise unchanged
 _MEDIAN_OF_GAUSSIAN = 0.6745
 _WHITENINGS = 4  # rounds that whiten by the noise of the last remainder
 
@@ -307,7 +307,7 @@ def _flexible_noise(
         matrix = np.column_stack(own_columns)[chosen] if own_columns else np.zeros((np.count_nonzero(chosen), 0))
         matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
         directions, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
-        most = int(_TOLD_BY_ROWS * len(matrix))
+        most = int(_DIRECTIONS_PER_ROW * len(matrix))
         directions = directions[:, :most][:, sizes[:most] > 1e-6 * np.max(sizes, initial=0.0)]
         rest = residual[chosen, channel]
         noise_residual[chosen, channel] = rest - directions @ (directions.T @ rest)

@@ -10,7 +10,7 @@ import pytest
 from estimation.arms import motion, samples
 
 from geomid_ros.checks import baseline_fit, effort_data
-from geomid_ros.checks.recording_check import judge_efforts
+from geomid_ros.checks.recording_check import check_efforts
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -53,7 +53,7 @@ def fits(monkeypatch: pytest.MonkeyPatch, joints: int) -> tuple[int, list[tuple[
         for module in (effort_data, baseline_fit):
             patch.setattr(module, "evidence", counted(module.evidence))
         kept = KeptSamples(measured, measured, np.zeros(len(measured), dtype=np.int64))
-        found = judge_efforts(MeasurementModel(robot, ()), kept, np.ones(joints)).findings
+        found = check_efforts(MeasurementModel(robot, ()), kept, np.ones(joints)).findings
     return count, [finding.cause.places for finding in found]
 
 

@@ -104,7 +104,7 @@ def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypa
     supervisor.build(read_urdf(BAGS / "arm3.urdf"), "arm3.urdf")
     assert supervisor.worker is not None
     with closing(supervisor.worker) as worker:
-        monkeypatch.setattr(recording_check, "judge_efforts", None)
+        monkeypatch.setattr(recording_check, "check_efforts", None)
         for joints in parts(2000, worker.session):
             worker.session.review.check.add(joints)
         worker.session.review.judge()

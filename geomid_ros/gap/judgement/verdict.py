@@ -42,7 +42,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     was = sentences.known_before(model, search.prior, candidate, load)
     parameters = widened_by_remainder(analysis, candidate, parameters, was)
     moment = sentences.first_moment(sized, candidate)
-    if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
+    if not any(map(_is_significant, moment.values())) or _is_significant(parameters["mass"]):
         moment = {}
     confidence = confidence_of(support.probability)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals]
@@ -81,7 +81,7 @@ def probability_by_size(candidate: Candidate, parameters: Mapping[str, Quantity]
     return probability_of_square(max(squares, default=np.inf))
 
 
-def _is_told(quantity: Quantity) -> bool:
+def _is_significant(quantity: Quantity) -> bool:
     return is_significant(quantity.value, quantity.std)
 
 
