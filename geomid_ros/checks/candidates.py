@@ -23,7 +23,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 PROBABLE = 0.9
 """Least probability of a named cause. A recording counts as many independent samples as the shortest one checked."""
-LARGEST_MASS_FACTOR = 4.0
+MASS_FACTOR = 4.0
 """Largest plausible factor between the masses of a URDF and the true ones: a larger gain is a unit."""
 TILT = np.radians(25.0)
 """Largest plausible tilt of a base, and error of a joint's zero [rad]."""
@@ -49,7 +49,7 @@ class CandidateFit:
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
-    def of_corrected(
+    def of(
         corrected: EffortData, units: FloatArray, found: Evidence | None = None, **estimated: FloatArray
     ) -> CandidateFit:
         """Evaluate corrected data.
@@ -99,7 +99,7 @@ class FaultCandidate:
         if self.fit_corrected is not None:
             return self.fit_corrected(subject)
         read = subject if self.corrected is None else self.corrected(subject)
-        return CandidateFit.of_corrected(read, self.sizes * subject.measured_std[self.sources])
+        return CandidateFit.of(read, self.sizes * subject.measured_std[self.sources])
 
 
 @dataclass(frozen=True, eq=False)

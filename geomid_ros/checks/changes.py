@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.checks.baseline_fit import EvidenceGain, by_channel
-from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, STEP, TILT, CandidateFit, FaultCandidate
+from geomid_ros.checks.candidates import MASS_FACTOR, STEP, TILT, CandidateFit, FaultCandidate
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
 from geomid_ros.checks.effort_data import STRETCHES, EffortData
 from geomid_ros.checks.evidence import MOST, PRIOR_STD, payload_factor
@@ -214,7 +214,7 @@ def _factors(subject: EffortData, place: float) -> list[float]:
     if np.all(later) or not np.any(later):
         return []
     factor = float(np.median(size(later) / size(~later)))
-    return [-1.0] if 1.0 / LARGEST_MASS_FACTOR <= factor <= LARGEST_MASS_FACTOR else [factor, -factor]
+    return [-1.0] if 1.0 / MASS_FACTOR <= factor <= MASS_FACTOR else [factor, -factor]
 
 
 def _switched(recording: EffortData, place: float, factor: float) -> CandidateFit:
@@ -230,7 +230,7 @@ def _switched(recording: EffortData, place: float, factor: float) -> CandidateFi
             mended = subject.with_efforts(subject.measured * gains[:, None])
             volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
             volume += len(gains) * float(np.sum(np.log(subject.measured_std / mended.measured_std)))
-            judged = CandidateFit.of_corrected(mended, mended.measured_std)
+            judged = CandidateFit.of(mended, mended.measured_std)
             readings.append(replace(judged, log_evidence=judged.log_evidence + volume))
     best = max(readings, key=lambda judged: judged.log_evidence)
     log = recording.nominal.log_evidence + best.log_evidence - subject.nominal.log_evidence

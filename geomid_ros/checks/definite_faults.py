@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR
+from geomid_ros.checks.candidates import MASS_FACTOR
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LEAST_SIGMA
@@ -44,16 +44,16 @@ def impossible_description(subject: EffortData) -> Cause | None:
          "moments of inertia", "g mm^2 or kg mm^2", "kg m^2"),
     ):  # fmt: skip
         most = int(np.argmax(sizes))
-        if 0.0 < LARGEST_MASS_FACTOR**2 * length < sizes[most]:
+        if 0.0 < MASS_FACTOR**2 * length < sizes[most]:
             text = f"{what.format(robot.body_names[most], sizes[most])}, {extent_text}"
             return _lengths([robot.body_names[most]], text, quantity, unit, right)
-    if length > LARGEST_MASS_FACTOR**2 * float(np.sum(radii)) > 0.0:
+    if length > MASS_FACTOR**2 * float(np.sum(radii)) > 0.0:
         text = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
         return _lengths([], text, "the origins of joints", "mm", "m")
     with np.errstate(divide="ignore"):
         excess = _weights(subject) / robot.effort_limits
     joint = int(np.argmax(excess))
-    if excess[joint] > LARGEST_MASS_FACTOR**2:
+    if excess[joint] > MASS_FACTOR**2:
         text = f"{total_mass}joint '{robot.joint_names[joint]}' would carry {excess[joint]:.0f} times its limit"
         return _lengths([], text, "the masses", "grams", "kg")
     return None

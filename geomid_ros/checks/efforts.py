@@ -9,7 +9,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, ROUNDS, TILT, CandidateFit, FaultCandidate
+from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, TILT, CandidateFit, FaultCandidate
 from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
@@ -80,7 +80,7 @@ def _frictions(subject: EffortData) -> Iterator[FaultCandidate]:
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
 
         def undo(subject: EffortData) -> CandidateFit:
-            return CandidateFit.of_corrected(subject, subject.measured_std, subject.evidence(either_sign=drives))
+            return CandidateFit.of(subject, subject.measured_std, subject.evidence(either_sign=drives))
 
         yield FaultCandidate(fit_corrected=undo, cause=cause, channels=concerned)
 
@@ -100,9 +100,7 @@ def _magnitudes(subject: EffortData) -> Iterator[FaultCandidate]:
             measured[:, concerned] = np.copysign(measured[:, concerned], explained)
             mended = subject.with_efforts(measured)
             explained = mended.explained(mended.nominal)[:, concerned]
-        return CandidateFit.of_corrected(
-            mended, mended.measured_std
-        )  # restored signs make numbers vary more, not less probable
+        return CandidateFit.of(mended, mended.measured_std)  # restored signs make numbers vary more, not less probable
 
     yield FaultCandidate(fit_corrected=undo, cause=cause, channels=concerned)
 
@@ -130,19 +128,17 @@ def _gains(subject: EffortData) -> Iterator[FaultCandidate]:
     every = range(len(subject.joints))
     slopes, r_squared = subject.slopes()
     common, settled = _common_factor(subject, slopes, r_squared)
-    if not 1.0 / LARGEST_MASS_FACTOR <= common <= LARGEST_MASS_FACTOR:
+    if not 1.0 / MASS_FACTOR <= common <= MASS_FACTOR:
         yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), every, settled)
     by_size = np.std(subject.predicted, axis=0) / subject.measured_std
     factors = np.where(
         (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size
     )
-    unlike_common = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(
-        LARGEST_MASS_FACTOR
-    )
-    unlike_nominal = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(LARGEST_MASS_FACTOR)
+    unlike_common = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(MASS_FACTOR)
+    unlike_nominal = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(MASS_FACTOR)
     loads = np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints]
     for joint in np.flatnonzero(unlike_common & unlike_nominal & (factors > 0.0)).tolist() if len(every) > 1 else ():
-        factor, beyond_rating = float(factors[joint]), bool(loads[joint] > LARGEST_MASS_FACTOR**2)
+        factor, beyond_rating = float(factors[joint]), bool(loads[joint] > MASS_FACTOR**2)
         matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
         yield _gain(matrix, _other_unit(subject, [joint], factor), [joint], beyond_rating)
 
@@ -160,7 +156,7 @@ def _common_factor(subject: EffortData, slopes: FloatArray, r_squared: FloatArra
     for ratios, sure in ((slopes, (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0)), (fitted, follows)):
         if np.count_nonzero(sure) >= 2:
             factor = 1.0 / float(np.median(ratios[sure]))
-            return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(LARGEST_MASS_FACTOR))
+            return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(MASS_FACTOR))
     predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
     return float(np.median(predicted / subject.measured_std)), False
 

@@ -14,7 +14,7 @@ from types import EllipsisType
 import numpy as np
 
 from geomid_ros.checks.candidates import (
-    LARGEST_MASS_FACTOR,
+    MASS_FACTOR,
     PROBABLE,
     ROUNDS,
     STEP,
@@ -80,10 +80,7 @@ def positions(subject: EffortData) -> Iterator[FaultCandidate]:
                 scales = np.ones(len(turning))
                 scales[joint] = size
                 text = f"the positions of joint '{robot.joint_names[joint]}' are"
-                beyond = (
-                    largest[joint] > LARGEST_MASS_FACTOR * allowed[joint]
-                    and np.sum(largest > LARGEST_MASS_FACTOR * allowed) == 1
-                )
+                beyond = largest[joint] > MASS_FACTOR * allowed[joint] and np.sum(largest > MASS_FACTOR * allowed) == 1
                 yield _in_unit(subject, scales, unit, text, joint, settled=bool(beyond))
 
 
@@ -151,11 +148,9 @@ def _at_rate(subject: EffortData, rate: float, cause: Cause) -> FaultCandidate:
     same = np.eye(len(subject.robot.joints))
 
     def undo(subject: EffortData) -> CandidateFit:
-        judged = CandidateFit.of_corrected(
-            subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.measured_std
-        )
+        judged = CandidateFit.of(subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.measured_std)
         without = max(
-            CandidateFit.of_corrected(read(subject), subject.measured_std).log_evidence
+            CandidateFit.of(read(subject), subject.measured_std).log_evidence
             for read in (without_gravity, with_gravity_added)
         )
         return replace(judged, log_evidence=judged.log_evidence - max(without - subject.nominal.log_evidence, 0.0))
@@ -233,9 +228,7 @@ def _zero(subject: EffortData, joint: int, sign: float, start: float) -> FaultCa
             fitted = mended.evidence(unknown=rate[:, :, None])
             zero = start + TILT * float(fitted.link_errors[-1])
         deviations = TILT * fitted.deviations()[-1:]
-        return CandidateFit.of_corrected(
-            mended, subject.measured_std, fitted, estimates=np.array([zero]), deviations=deviations
-        )
+        return CandidateFit.of(mended, subject.measured_std, fitted, estimates=np.array([zero]), deviations=deviations)
 
     def cause(judged: CandidateFit) -> Cause:
         zero, deviation = np.degrees([judged.estimates[0], judged.deviations[0]])

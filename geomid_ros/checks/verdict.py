@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR
+from geomid_ros.checks.candidates import MASS_FACTOR
 from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.estimation.estimate import Estimate
@@ -123,11 +123,9 @@ def poorly_predicted(estimate: Estimate, held_out: FloatArray) -> list[str]:
         held_out: its residual RMS on held-out data ``(channels,)``, NaN where nothing is measured.
     """
     ratios = held_out / np.maximum(estimate.rms, np.finfo(float).tiny)
-    if not np.any(ratios > LARGEST_MASS_FACTOR):
+    if not np.any(ratios > MASS_FACTOR):
         return []
-    named = ", ".join(
-        f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > LARGEST_MASS_FACTOR)
-    )
+    named = ", ".join(f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > MASS_FACTOR))
     sentence = (
         f"held-out data are predicted far worse than training data: {named}; the robot moves differently there, or "
         "something changed. If nothing changed, fit all data (--hold-out 0, or one more bag), and validate on another "

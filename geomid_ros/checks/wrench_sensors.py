@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.checks.candidates import LARGEST_MASS_FACTOR, PROBABLE, TILT, probabilities
+from geomid_ros.checks.candidates import MASS_FACTOR, PROBABLE, TILT, probabilities
 from geomid_ros.checks.causes import Cause, RecordingFault, format_settings
 from geomid_ros.checks.evidence import FRICTION, LARGEST_RESIDUAL, Unknowns, evidence, prior_factor
 from geomid_ros.checks.sample_reservoir import FEWEST, STEP
@@ -91,7 +91,7 @@ class WrenchSensorCheck:
             minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
             flaw = f"its sign is reversed: write {format_settings(settings)} (on the command line, {minus})"
             return (RecordingFault(cause=self._cause(flaw, settings)),)
-        if (unit := _is_other_unit(fit.slope)) or fit.slope < 1.0 / LARGEST_MASS_FACTOR:
+        if (unit := _is_other_unit(fit.slope)) or fit.slope < 1.0 / MASS_FACTOR:
             flaw = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
             return (RecordingFault(cause=self._cause(flaw), sure=unit),)
         return ()

@@ -20,7 +20,7 @@ from geomid_ros.files.models.effects_file import (
     joint_attributes,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile
-from geomid_ros.files.models.posterior import RELATIVE_TOLERANCE
+from geomid_ros.files.models.posterior import RTOL
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
 from geomid_ros.files.models.written_model import IDENTIFIED, fitted_model_of
@@ -173,7 +173,7 @@ def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, Uncertain
 def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source: str) -> None:
     for name, parameters in inertias.items():
         written = tree.inertials.get(name, np.zeros(10))[0]
-        if abs(written - parameters[0]) > RELATIVE_TOLERANCE * parameters[0]:
+        if abs(written - parameters[0]) > RTOL * parameters[0]:
             raise InputError(
                 f"{source}: the {IDENTIFIED} in the same folder is not of this estimate: link '{name}' has "
                 f"{written:.6g} kg there and {parameters[0]:.6g} kg here"

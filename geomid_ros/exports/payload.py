@@ -13,7 +13,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.exports.model import ExportModel
-from geomid_ros.files.models.posterior import RELATIVE_TOLERANCE
+from geomid_ros.files.models.posterior import RTOL
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.session.setup import LIGHT
 from geomid_ros.types import FloatArray
@@ -215,9 +215,7 @@ def _weighing(reference: ExportModel, frame: str) -> str:
 
 
 def _same(one: UncertainInertia, other: UncertainInertia) -> bool:
-    return bool(
-        np.allclose(one.quantities, other.quantities, rtol=RELATIVE_TOLERANCE, atol=RELATIVE_TOLERANCE * one.mass)
-    )
+    return bool(np.allclose(one.quantities, other.quantities, rtol=RTOL, atol=RTOL * one.mass))
 
 
 def total(terms: Sequence[Summand], what: str) -> UncertainInertia:

@@ -25,7 +25,7 @@ from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, e
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.posterior import (
-    RELATIVE_TOLERANCE,
+    RTOL,
     check_matches_estimate,
     places_in,
     posterior_path,
@@ -102,7 +102,7 @@ class DrawnRobots:
         estimated = self.posterior.parameters[10 * len(self.posterior.links) :]
         for (c, drawn), value in zip(self.coefficients, estimated, strict=True):
             key = c.name, c.place, c.parameter
-            if key in given and abs(given[key].value - value) <= RELATIVE_TOLERANCE * abs(value):
+            if key in given and abs(given[key].value - value) <= RTOL * abs(value):
                 sampled[key] = c, drawn
         return sampled
 

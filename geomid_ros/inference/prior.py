@@ -127,18 +127,17 @@ class Prior(Generic[Term]):
     @property
     def without_other_recordings(self) -> Prior[Term]:
         """Prior without other recordings, which are reduced to a standard deviation for each effect."""
-        if self.other_recordings is None:
+        others = self.other_recordings
+        if others is None:
             return self
         manifold = StraightManifold(len(self.inertias) // 10, 0, np.ones(0))
-        links = manifold.whiten(
-            manifold.point(self.inertias), self.other_recordings.rows[:, : self.other_recordings.links]
-        )
-        rows = np.column_stack([links * self.prior_std, self.other_recordings.rows[:, self.other_recordings.links :]])
-        count = len(self.other_recordings.changes)
-        rows[:, self.other_recordings.links :] *= self.prior_stds[:count]
-        variances = np.diag(np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1])))[self.other_recordings.links :]
+        links = manifold.whiten(manifold.point(self.inertias), others.rows[:, : others.links])
+        rows = np.column_stack([links * self.prior_std, others.rows[:, others.links :]])
+        count = len(others.changes)
+        rows[:, others.links :] *= self.prior_stds[:count]
+        variances = np.diag(np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1])))[others.links :]
         earlier = np.append(np.sqrt(variances) * self.prior_stds[:count], self.prior_stds[count:])
-        prior_stds = np.hypot(earlier, np.append(self.other_recordings.changes, np.zeros(len(earlier) - count)))
+        prior_stds = np.hypot(earlier, np.append(others.changes, np.zeros(len(earlier) - count)))
         return replace(self, other_recordings=None, prior_stds=prior_stds)
 
     @property

@@ -229,7 +229,7 @@ class Solver:
         """Leave out the rows of changed sensors; accept for good the rows of sensors that are sound."""
         if self._forgets or not self._sensors:
             return
-        changed = changed_sensors(detector.gaps, self._session.model)
+        changed, identifier = changed_sensors(detector.gaps, self._session.model), self._session.identifier
         with self._lock:
             if detector is not self.detector:  # it was reset meanwhile
                 return
@@ -237,14 +237,14 @@ class Solver:
             for topic, channels in self._sensors.items():
                 reason = f"wrench changed: {topic}"
                 if changed is None:  # the robot may have changed, not a sensor
-                    self._session.identifier.restore_rows(reason, 0)
+                    identifier.restore_rows(reason, 0)
                 elif topic not in changed:
-                    self._session.identifier.restore_rows(reason, detector.searched_until)
-                elif self._session.identifier.leave_out(reason, channels, changed[topic]):
+                    identifier.restore_rows(reason, detector.searched_until)
+                elif identifier.leave_out(reason, channels, changed[topic]):
                     self._solve_afresh()
         robot_changed = robot_may_have_changed(detector.gaps, self._session.model)
         suspect = [] if robot_changed else [place for places in self._sensors.values() for place in places]
-        self._session.identifier.settle(detector.unchanged_before(suspect))
+        identifier.settle(detector.unchanged_before(suspect))
 
     def _warm_start(self) -> WarmStart | None:
         """Return the starting point of the next solve; None before the first, and after a failed one. If much is new,

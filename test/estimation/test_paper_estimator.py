@@ -29,7 +29,7 @@ def solution(problem: Problem, gamma: float, solver: str = "trust_region", *, ex
 
 
 def same(exact: bool) -> float:
-    """As :data:`RELATIVE_TOLERANCE`; products of rows round more than the rows."""
+    """As :data:`RTOL`; products of rows round more than the rows."""
     return SAME if exact else 10.0 * SAME
 
 

@@ -33,7 +33,7 @@ from geomid_ros.types import AnyArray, FloatArray, IntArray, frozen
 
 POSTERIOR = "posterior.npz"
 FORMAT = 2
-RELATIVE_TOLERANCE = 1e-6
+RTOL = 1e-6
 """Relative tolerance between the same number in two files, of which one has fewer digits."""
 _HEADER = "posterior"
 _VECTORS = {"parameters": "parameters", "prior": "prior", "prior_spreads": "prior_stds"}  # by their names in the file
@@ -96,7 +96,7 @@ def check_matches_estimate(posterior: Posterior, file: Path, inertias: Mapping[s
         )
     links = posterior.parameters[posterior.manifold.inertial].reshape(-1, 10)
     for link, inertia in zip(links, inertias.values(), strict=True):
-        if not np.allclose(link, inertia, rtol=RELATIVE_TOLERANCE, atol=RELATIVE_TOLERANCE * np.max(np.abs(inertia))):
+        if not np.allclose(link, inertia, rtol=RTOL, atol=RTOL * np.max(np.abs(inertia))):
             raise InputError(f"{file}: belongs to another estimate than {source}; keep the files of one run together")
 
 
