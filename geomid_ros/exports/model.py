@@ -14,9 +14,8 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
 from geomid_ros.files.models.effects_file import (
     QUANTITY_NAMES,
-    coefficient_effect,
-    effects_of_dynamics,
     is_payload,
+    is_payload_name,
     joint_attributes,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile
@@ -25,7 +24,7 @@ from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
 from geomid_ros.files.models.written_model import IDENTIFIED, fitted_model_of
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
+from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
 from geomid_ros.model.robot import GRAVITY
 from geomid_ros.model.urdf_tree import UrdfTree, parse, read_numbers, read_xml
 from geomid_ros.types import FloatArray
@@ -73,6 +72,10 @@ class ExportModel:
     def placement(self, link: str, frame: str) -> FloatArray:
         """Return the homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
         return np.linalg.inv(self.placements[frame]) @ self.placements[link]
+
+    def payload_of(self, link: str) -> UncertainInertia | None:
+        """Payload that ``geomid gap`` found on a link: a link of the URDF, fixed to it; None if there is none."""
+        return self.bodies.get(_payload_link(self.tree, link))
 
     def check_link(self, link: str, kind: str) -> None:
         """Raise InputError if there is no such link."""
@@ -141,16 +144,16 @@ def _of_urdf(path: Path) -> ExportModel:
 def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[KnownEffect]:
     """Return the friction in <dynamics> of a URDF, unless it is among the effects that were ``found``."""
     written = joint_attributes(found, "dynamics")
+    forms = {effect: cls.parameters[0] for effect, cls in EFFECTS.items() if cls.is_one_number()}
     effects = []
     for joint in read_xml(urdf, source).findall("joint"):
         name = joint.get("name", "")
-        for attribute, effect in effects_of_dynamics().items():
-            if attribute not in written.get(name, {}):
-                where = f"{source}: joint '{name}'"
-                (value,) = read_numbers(joint, "dynamics", (attribute,), [0.0], where)
-                units = effect_class(effect).parameters[0].units
-                unit = units[joint.get("type") == "prismatic"]
-                effects += [coefficient_effect(effect, name, Quantity(value, math.nan, unit))] if value > 0.0 else []
+        for effect, form in forms.items():
+            element, _, attribute = form.urdf.partition("/")
+            if element == "dynamics" and attribute not in written.get(name, {}):
+                (value,) = read_numbers(joint, element, (attribute,), [0.0], f"{source}: joint '{name}'")
+                quantity = Quantity(value, math.nan, form.units[joint.get("type") == "prismatic"])
+                effects += [KnownEffect(effect, name, "", {form.name: quantity})] if value > 0.0 else []
     return effects
 
 
@@ -160,14 +163,26 @@ def _urdf_bodies(tree: UrdfTree) -> dict[str, UncertainInertia]:
 
 
 def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, UncertainInertia]:
-    """Return the bodies of the URDF, with the estimates of those that were identified."""
+    """Return the bodies of the URDF, with the estimates of those that were identified, and the standard deviations of
+    payloads found by ``geomid gap``, which are links of their own."""
     written = fitted_model_of(file, URDF)
     _check_same_model(file.inertias if written is None else written.inertias, tree, file.source)
     bodies = _urdf_bodies(tree)
     if any(link.cannot_tell is not None for link in file.links):
         bodies = {name: replace(body, cannot_tell=QUANTITIES) for name, body in bodies.items()}
     bodies |= file.bodies
-    return bodies | _found_payloads(bodies, file.known_effects)
+    for effect in filter(is_payload, file.known_effects):
+        name = _payload_link(tree, effect.link)
+        if name in bodies:
+            std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in QUANTITY_NAMES]
+            bodies[name] = UncertainInertia(parameters=bodies[name].parameters, std=np.array(std))
+    return bodies
+
+
+def _payload_link(tree: UrdfTree, carrier: str) -> str:
+    """Link that a URDF has last as the payload of another one; empty if there is none."""
+    names = [joint.child for joint in tree.children(carrier) if is_payload_name(joint.child, carrier)]
+    return names[-1] if names else ""
 
 
 def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source: str) -> None:
@@ -178,16 +193,3 @@ def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source
                 f"{source}: the {IDENTIFIED} in the same folder is not of this estimate: link '{name}' has "
                 f"{written:.6g} kg there and {parameters[0]:.6g} kg here"
             )
-
-
-def _found_payloads(
-    bodies: Mapping[str, UncertainInertia], effects: Sequence[KnownEffect]
-) -> dict[str, UncertainInertia]:
-    """Return payloads found by ``geomid gap``: extra links in the URDF; the file has their standard deviations."""
-    payloads = {}
-    for effect in effects:
-        name = f"{effect.link}_payload"
-        if is_payload(effect) and name in bodies:
-            std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in QUANTITY_NAMES]
-            payloads[name] = UncertainInertia(parameters=bodies[name].parameters, std=np.array(std))
-    return payloads

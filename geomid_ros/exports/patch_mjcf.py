@@ -13,7 +13,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import DescriptionFiles, not_representable
 from geomid_ros.exports.model import ExportModel
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effects_file import joint_attributes, payload_name
+from geomid_ros.files.models.effects_file import joint_attributes
 from geomid_ros.files.models.mjcf import with_identified
 from geomid_ros.files.models.urdf import joint_frames
 from geomid_ros.geometry import pseudo_inertia
@@ -100,9 +100,9 @@ def _named(heading: str, names: Sequence[str]) -> list[str]:
 
 def _with_payload(model: ExportModel, link: str) -> FloatArray:
     """Parameters ``(10,)`` of a link and of the payload found on it, which is a separate link of the URDF."""
-    names = [name for name in (link, payload_name(link)) if name in model.bodies]
-    parameters = [model.bodies[name].parameters for name in names]
-    return np.asarray(np.sum(parameters, axis=0))
+    payload = model.payload_of(link)
+    parameters = model.bodies[link].parameters
+    return parameters if payload is None else parameters + payload.parameters
 
 
 def _moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:

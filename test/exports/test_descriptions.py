@@ -270,11 +270,21 @@ def test_another_robot_is_refused(tmp_path: Path) -> None:
         patch_user_mjcf(model, own)
 
 
-def test_a_payload_is_carried_by_its_link(tmp_path: Path) -> None:
-    model, own = written(tmp_path, [effect("payload", "link3", **PAYLOAD)]), tmp_path / "own.xml"
+TAKEN = (
+    '<link name="link3_payload"/><joint name="link3_payload" type="fixed"><parent link="link3"/>'
+    '<child link="link3_payload"/></joint></robot>'
+)
+
+
+@pytest.mark.parametrize(("end", "name"), [("</robot>", "link3_payload"), (TAKEN, "link3_payload_")])
+def test_a_payload_is_carried_by_its_link(end: str, name: str, tmp_path: Path) -> None:
+    """Its link has another name if the robot has one of this name."""
+    urdf, own = URDF.replace("</robot>", end), tmp_path / "own.xml"
+    model = written(tmp_path, [effect("payload", "link3", **PAYLOAD)], urdf)
     own.write_text(mjcf(Robot(URDF), {}))
     mass = mujoco.MjModel.from_xml_string(patch_user_mjcf(model, own).text).body("link3").mass[0]
     assert mass == pytest.approx(model.bodies["link3"].mass + PAYLOAD["mass"])
+    assert model.bodies[name].std[0] == pytest.approx(PAYLOAD["mass"] / 10.0)
 
 
 def test_a_file_that_only_mujoco_can_read_is_refused(tmp_path: Path) -> None:

@@ -13,9 +13,8 @@ import numpy as np
 from benchmarks.fuzz.mutations import NUMBERS, changed_text
 from benchmarks.fuzz.target import require
 from geomid_ros.commands.live import shared_file
-from geomid_ros.files.models.effects_file import coefficient_effect
 from geomid_ros.files.models.urdf import with_effects, with_inertials
-from geomid_ros.model.effects import Quantity
+from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
@@ -147,7 +146,9 @@ class UrdfTarget:
         scale = np.maximum(1.0, np.abs(parameters))
         np.testing.assert_allclose(again.model.nominal_parameters / scale, parameters / scale, atol=1e-5)
         friction = Quantity(0.5, 0.1, "N m s/rad")
-        effects = [coefficient_effect("viscous_friction", joint, friction) for joint in session.robot.joint_names]
+        effects = [
+            KnownEffect("viscous_friction", joint, "", {"coefficient": friction}) for joint in session.robot.joint_names
+        ]
         Session(with_effects(written, effects), configuration, "effects.urdf")
 
 

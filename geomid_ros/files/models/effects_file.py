@@ -65,8 +65,13 @@ _HEADER = """\
 
 
 def payload_name(carrier: str) -> str:
-    """Name of a link's payload as a link of a description, if no other link has this name."""
+    """Name of a link's payload as a link of a description, and of its joint; underscores follow if it is taken."""
     return f"{carrier}_payload"
+
+
+def is_payload_name(link: str, carrier: str) -> bool:
+    """True if a description names the payload of ``carrier`` like this ``link``."""
+    return link.rstrip("_") == payload_name(carrier)
 
 
 def is_payload(effect: KnownEffect) -> bool:
@@ -109,15 +114,6 @@ def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, 
                 numbers = attributes.setdefault(effect.joint, {})
                 numbers[attribute] = numbers.get(attribute, 0.0) + values[name]
     return attributes
-
-
-def effects_of_dynamics() -> dict[str, str]:
-    """Effects of one coefficient that an attribute of a URDF's ``<dynamics>`` represents, by the attribute."""
-    return {
-        cls.parameters[0].urdf.removeprefix("dynamics/"): name
-        for name, cls in EFFECTS.items()
-        if cls.is_one_number() and cls.parameters[0].urdf.startswith("dynamics/")
-    }
 
 
 def unrepresentable(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
@@ -190,13 +186,6 @@ def _refined(effect: KnownEffect, remaining: dict[tuple[str, str], KnownEffect])
     return KnownEffect(effect.effect, effect.joint, effect.link, parameters)
 
 
-def coefficient_effect(name: str, joint: str, quantity: Quantity, constant: Quantity | None = None) -> KnownEffect:
-    """Make an effect of one parameter, with a constant if it differs from the default."""
-    cls = effect_class(name)
-    constants = {} if constant is None else {cls.default_constant: constant}
-    return KnownEffect(name, joint, "", {cls.parameters[0].name: quantity} | constants)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Sidecar:
     """Effects of the robot called ``robot``."""
@@ -218,13 +207,14 @@ def _check_effect(effect: KnownEffect, where: str) -> None:
     for name, quantity in effect.parameters.items():
         if name not in forms:
             raise InputError(f"{where}: parameters: {unknown_name('parameter', name, forms)}")
-        _check_quantity(quantity, forms[name], f"{where}: parameters: {name}")
+        check_quantity(quantity, forms[name], f"{where}: parameters: {name}")
     for name, form in forms.items():
         if name not in effect.parameters and not form.optional:
             raise InputError(f"{where}: parameters: {name} is not given")
 
 
-def _check_quantity(size: Quantity, form: ParameterForm, where: str) -> None:
+def check_quantity(size: Quantity, form: ParameterForm, where: str) -> None:
+    """Refuse a parameter that its ``form`` excludes. Raises InputError beginning with ``where``."""
     if not form.above < size.value < form.below:
         raise InputError(f"{where} is {size.value:g}, expected a number above {form.above:g} and below {form.below:g}")
     if size.std < 0.0:

@@ -25,7 +25,7 @@ from geomid_ros.estimation.estimate import (
 )
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.files.models.effects_file import (
-    coefficient_effect,
+    check_quantity,
     coefficient_entry,
     combined,
     is_coefficient,
@@ -344,16 +344,14 @@ def _known_effect(entry: CoefficientEntry, raw: Mapping[str, Any], source: str) 
         raise InputError(f"{source} effect '{entry.name}' has several parameters, expected it under 'added'")
     if not math.isfinite(entry.value):
         raise InputError(f"{source} {entry.name} at '{entry.joint}' has no value, expected a finite number")
-    constant = None
-    if cls.default_constant in raw:
-        (form,) = (form for form in cls.parameters if form.name == cls.default_constant)
-        value = raw[form.name]
-        if type(value) not in (int, float) or not form.above < value < form.below:
+    first, *constants = cls.parameters
+    parameters = {first.name: Quantity(entry.value, entry.std or math.nan, first.units[0])}
+    for form in constants:
+        if form.name in raw:
             where = f"{source} {form.name} of {cls.name} at '{entry.joint}'"
-            raise InputError(f"{where} is {value!r:.80}, expected a number above {form.above:g} {form.units[0]}")
-        constant = Quantity(float(value), 0.0, form.units[0])
-    quantity = Quantity(entry.value, entry.std or math.nan, cls.parameters[0].units[0])
-    return coefficient_effect(entry.name, entry.joint, quantity, constant)
+            parameters[form.name] = Quantity(from_document(float, raw[form.name], where), 0.0, form.units[0])
+            check_quantity(parameters[form.name], form, where)
+    return KnownEffect(entry.name, entry.joint, "", parameters)
 
 
 def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> LinkEstimate:

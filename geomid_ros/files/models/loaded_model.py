@@ -21,7 +21,7 @@ from geomid_ros.files.models.effects_file import (
     by_parameter,
     combined,
     is_payload,
-    payload_name,
+    is_payload_name,
     payload_parameters,
     tilted_gravity,
     updated_effects,
@@ -233,7 +233,7 @@ class LoadedModel:
     def _is_payload(self, link: str, carrier: str) -> bool:
         """True if a link is the payload of another one in a description that was written from this model."""
         has_payload = any(is_payload(effect) and effect.link == carrier for effect in self.effects)
-        return has_payload and link.rstrip("_") == payload_name(carrier)
+        return has_payload and is_payload_name(link, carrier)
 
     def coefficient_stds(self, model: MeasurementModel) -> FloatArray:
         """Standard deviations ``(D,)`` of the effects' coefficients within their motion, NaN if unknown."""
