@@ -49,33 +49,26 @@ class Cluster:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._dask: Any = distributed
         self._patience = patience
-        self._version = installed_version()
-        self._local: Any = None
-        if address is None:
-            cores = len(os.sched_getaffinity(0))
-            self._local = self._dask.LocalCluster(
-                n_workers=cores, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
-            )
-            address = self._local.scheduler_address
-        self._address = address
-        self._client: Any = None
-        try:
+        with ExitStack() as stack:
+            if address is None:
+                cores = len(os.sched_getaffinity(0))
+                local = self._dask.LocalCluster(
+                    n_workers=cores, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
+                )
+                stack.callback(local.close)
+                address = local.scheduler_address
+            self._address = address
+            self._client: Any = None
+            stack.callback(self._disconnect)
             self._connect(_CONNECT)
-        except BaseException:
-            self.close()
-            raise
+            self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
         """Close the connection; workers of this machine are stopped."""
-        self._disconnect()
-        if self._local is not None:
-            self._local.close()
+        self._stack.close()
 
     def _disconnect(self) -> None:
         if self._client is not None:
@@ -85,7 +78,7 @@ class Cluster:
 
     def _connect(self, patience: float) -> None:
         """Connect, and check the version of the workers."""
-        deadline = time.monotonic() + patience
+        deadline, version = time.monotonic() + patience, installed_version()
         while self._client is None:
             try:
                 self._client = self._dask.Client(self._address, timeout=max(1.0, deadline - time.monotonic()))
@@ -97,18 +90,16 @@ class Cluster:
         try:
             self._client.wait_for_workers(1, timeout=patience)
             versions = set(self._client.run(installed_version).values())
+            reason = "" if versions == {version} else f"they have {', '.join(sorted(versions))}"
         except TimeoutError as error:
             raise InputError(f"the Dask scheduler at {self._address} has no workers; start some") from error
         except (ImportError, AttributeError) as error:
-            raise InputError(self._other_version(str(error))) from error
-        if versions != {self._version}:
-            raise InputError(self._other_version(f"they have {', '.join(sorted(versions))}"))
-
-    def _other_version(self, reason: str) -> str:
-        return (
-            f"{self._address}: its workers lack geomid_ros {self._version} with the extra 'fleet' ({reason}); install "
-            "the same everywhere"
-        )
+            reason = str(error)
+        if reason:
+            raise InputError(
+                f"{self._address}: its workers lack geomid_ros {version} with the extra 'fleet' ({reason}); install "
+                "the same everywhere"
+            )
 
     def run(
         self, function: Callable[..., Any], jobs: Sequence[tuple[Job, tuple[Any, ...]]]
@@ -212,9 +203,12 @@ class Fleet:
 
     def _summarise(self, workers: Callable[[], Cluster], progress: Progress) -> dict[FleetBag, BagOutcome]:
         """Outcome of every bag."""
-        names = {bag: f"{self._plan.summary_name(bag)}.json" for bag in self._bags}
-        stored = {bag: self._outcome(name) for bag, name in names.items() if name in self._kept}
-        outcomes = {bag: outcome for bag, outcome in stored.items() if outcome is not None}
+        outcomes: dict[FleetBag, BagOutcome] = {}
+        for bag in self._bags:
+            name = f"{self._plan.summary_name(bag)}.json"
+            with suppress(InputError, ValueError, RecursionError):  # it is summarised again
+                if name in self._kept:
+                    outcomes[bag] = from_document(BagOutcome, json.loads(self._store.get(name) or b""), name)
         progress(f"{len(outcomes)} of {len(self._bags)} bags", 0.0)
         jobs = [(bag, (self._store, self._plan.name, bag)) for bag in self._bags if bag not in outcomes]
         for bag, outcome in _run(workers, summarise_bag, jobs):
@@ -223,39 +217,26 @@ class Fleet:
             progress(f"{len(outcomes)} of {len(self._bags)} bags", len(outcomes) / len(self._bags))
         return outcomes
 
-    def _outcome(self, name: str) -> BagOutcome | None:
-        """Stored outcome of a bag; None if it cannot be read."""
-        try:
-            return from_document(BagOutcome, json.loads(self._store.get(name) or b""), f"{self._store.url}/{name}:")
-        except (InputError, ValueError, RecursionError):
-            return None
-
     def _solve(
         self, workers: Callable[[], Cluster], outcomes: Mapping[FleetBag, BagOutcome], progress: Progress
     ) -> Iterator[FleetRobot]:
         """Yield the robots, after solving for them."""
         chosen = {name: self._chosen(name, outcomes) for name in dict.fromkeys(bag.robot for bag in self._bags)}
-        summaries = {robot: [self._plan.summary_name(bag) for bag in used] for robot, (used, _) in chosen.items()}
-        names = {robot: self._plan.results_name(robot, bags) for robot, bags in summaries.items()}
-        jobs = [
-            (robot, (self._store, self._plan.name, names[robot], summaries[robot], locked))
-            for robot, (used, locked) in chosen.items()
-            if used and f"{names[robot]}{SUFFIX}" not in self._kept
-        ]
-        errors: dict[str, str] = {}
+        names, jobs, errors = dict[str, str](), list[tuple[str, tuple[Any, ...]]](), dict[str, str]()
+        for robot, (used, locked) in chosen.items():
+            summaries = [self._plan.summary_name(bag) for bag in used]
+            names[robot] = self._plan.results_name(robot, summaries)
+            if not used:
+                errors[robot] = "none of its bags can be used"
+            elif f"{names[robot]}{SUFFIX}" not in self._kept:
+                jobs.append((robot, (self._store, self._plan.name, names[robot], summaries, locked)))
         for done, (robot, outcome) in enumerate(_run(workers, solve_robot, jobs), 1):
             errors[robot] = outcome if isinstance(outcome, str) else failure(outcome)
             progress(f"{done} of {len(jobs)} robots", done / len(jobs))
         for robot, (used, _) in chosen.items():
-            error = errors.get(robot, "") if used else "none of its bags can be used"
             bags = [(bag, outcomes[bag]) for bag in self._bags if bag.robot == robot]
-            yield FleetRobot(
-                name=robot,
-                bags=bags,
-                used=tuple(bag.url for bag in used),
-                error=error,
-                kept="" if error else names[robot],
-            )
+            error, urls = errors.get(robot, ""), tuple(bag.url for bag in used)
+            yield FleetRobot(name=robot, bags=bags, used=urls, error=error, kept="" if error else names[robot])
 
     def _chosen(self, robot: str, outcomes: Mapping[FleetBag, BagOutcome]) -> tuple[list[FleetBag], tuple[str, ...]]:
         """Bags that a robot is identified from, and the joints that all of them lack.
@@ -271,15 +252,15 @@ class Fleet:
 
     def results(self, robot: FleetRobot) -> RobotResults:
         """Load the results of a robot that has some. Raises InputError if they cannot be read."""
-        content = self._store.get(f"{robot.kept}{SUFFIX}")
+        name = f"{robot.kept}{SUFFIX}"
+        content = self._store.get(name)
         if content is None:
             raise InputError(f"{self._store.url}: the results of robot '{robot.name}' are missing; run the same again")
         try:
             return RobotResults.decoded(content)
         except InputError as error:
-            raise InputError(
-                f"{self._store.url}/{robot.kept}{SUFFIX}: {error}; delete it, and run the same again"
-            ) from error
+            problem = f"the stored result of a robot cannot be read ({error}); delete it, and run the same again"
+            raise InputError(f"{self._store.url}/{name}: {problem}") from error
 
 
 def _run(

@@ -219,10 +219,7 @@ class RobotResults:
     @staticmethod
     def decoded(content: bytes) -> RobotResults:
         """Decode such a file. Raises InputError if it is invalid."""
-        try:
-            return from_document(RobotResults, unarchived(content), "its text:")
-        except InputError as error:
-            raise InputError(f"the stored result of a robot cannot be read ({error})") from error
+        return from_document(RobotResults, unarchived(content), "its text:")
 
     @property
     def estimate(self) -> EstimateFile:

@@ -9,6 +9,7 @@ import shutil
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -121,7 +122,7 @@ def decompress(data: bytes | memoryview, method: str, size: int) -> bytes | memo
     """
     if size > MOST_BYTES:
         raise ValueError(f"{size} bytes unpacked from {len(data)}, more than the maximum of {MOST_BYTES}")
-    result = data if not method else _unpacked(data, method, size + 1)
+    result = _unpacked(data, method, size + 1) if method else data
     if len(result) != size:
         length = "more" if len(result) > size else len(result)
         raise ValueError(f"expected {size} unpacked bytes, found {length}")
@@ -131,9 +132,7 @@ def decompress(data: bytes | memoryview, method: str, size: int) -> bytes | memo
 def decompress_truncated(data: bytes | memoryview, method: str, size: int) -> bytes | memoryview:
     """Unpack the beginning of compressed ``data`` whose end is missing. Raises ValueError."""
     most = min(size, MOST_BYTES)
-    if not method:
-        return data[:most]
-    return _decompressed(_unpacker(method), data, method, most)
+    return _unpacked(data, method, most, truncated=True) if method else data[:most]
 
 
 def decompress_message(data: bytes, method: str) -> bytes:
@@ -144,27 +143,26 @@ def decompress_message(data: bytes, method: str) -> bytes:
     return result
 
 
-def _unpacked(data: bytes | memoryview, method: str, most: int) -> bytes:
-    unpacker = _unpacker(method)
-    result = _decompressed(unpacker, data, method, most)
-    if not unpacker.eof and len(result) < most:
+def _unpacked(data: bytes | memoryview, method: str, most: int, *, truncated: bool = False) -> bytes:
+    """Unpack at most this many bytes; only ``truncated`` data may end too early."""
+    if method not in METHODS:
+        raise ValueError(f"its compression is {method[:20]!r}, expected zstd, lz4 or none")
+    library = _library(method)
+    unpacker = library.ZstdDecompressor() if method == "zstd" else library.LZ4FrameDecompressor()
+    with _damage_named(method):
+        result: bytes = unpacker.decompress(data, max_length=most)
+    if not unpacker.eof and len(result) < most and not truncated:
         raise ValueError(f"its {method} data end too early")
     return result
 
 
-def _decompressed(unpacker: Any, data: bytes | memoryview, method: str, most: int) -> bytes:
+@contextmanager
+def _damage_named(method: str) -> Iterator[None]:
+    """Replace the library's errors by a ValueError."""
     try:
-        result: bytes = unpacker.decompress(data, max_length=most)
+        yield
     except (_library("zstd").ZstdError, RuntimeError) as error:
         raise ValueError(f"its {method} data are damaged ({error})") from error
-    return result
-
-
-def _unpacker(method: str) -> Any:
-    if method not in METHODS:
-        raise ValueError(f"its compression is {method[:20]!r}, expected zstd, lz4 or none")
-    library = _library(method)
-    return library.ZstdDecompressor() if method == "zstd" else library.LZ4FrameDecompressor()
 
 
 def decompress_file(path: Path, target: Path, method: str) -> None:
@@ -175,23 +173,12 @@ def decompress_file(path: Path, target: Path, method: str) -> None:
     most = _MOST_RATIO * path.stat().st_size
     room = shutil.disk_usage(target.parent).free - _LEFT_FREE
     size = 0
-    with target.open("wb") as file:
-        for piece in _pieces(path, method):
+    # The unpacked part of a truncated file is truncated, too, and its reader reports that.
+    with _damage_named(method), suppress(EOFError), target.open("wb") as file, _library(method).open(path) as packed:
+        while piece := packed.read(PIECE):
             size += len(piece)
             if size > most:
                 raise ValueError(f"it unpacks to more than {_MOST_RATIO} times its size")
             if size > room:
                 raise ValueError(f"{target.parent} has no room to unpack it; set TMPDIR to another folder")
             file.write(piece)
-
-
-def _pieces(path: Path, method: str) -> Iterator[bytes]:
-    """Yield the unpacked pieces of a file, up to where it is truncated. Raises ValueError."""
-    try:
-        with _library(method).open(path, "rb") as packed:
-            while piece := packed.read(PIECE):
-                yield piece
-    except EOFError:
-        return  # the unpacked file is truncated, too, and its reader reports that
-    except (_library("zstd").ZstdError, RuntimeError) as error:
-        raise ValueError(f"its {method} data are damaged ({error})") from error

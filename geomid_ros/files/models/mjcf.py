@@ -20,7 +20,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.effects_file import is_payload, joint_attributes, payload_parameters, tilted_gravity
 from geomid_ros.files.models.urdf import JointFrame, joint_frames
-from geomid_ros.files.models.xml_edits import Edit, descendants_of, edited, insertion, with_attributes
+from geomid_ros.files.models.xml_edits import Edit, edited, insertion, spans_of, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, joints_of, values_of
@@ -371,7 +371,8 @@ def with_identified(
         emptied: bodies that become massless, as the inertias of others include them.
     """
     data = mjcf.encode()
-    places, tags = descendants_of(data, _WORLD, "body", "inertial"), descendants_of(data, _WORLD, "joint")
+    places = spans_of(data, _WORLD, "body", "inertial", deeper=True)
+    tags = spans_of(data, _WORLD, "joint", deeper=True)
     edits: list[Edit] = [
         insertion(data, places[name], with_attributes(b"<inertial/>", inertial_attributes(parameters)))
         for name, parameters in bodies.items()

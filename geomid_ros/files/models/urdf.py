@@ -21,7 +21,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import is_payload, joint_attributes, payload_name, payload_parameters
-from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
+from geomid_ros.files.models.xml_edits import Edit, Span, edited, end_of_tag, insertion, spans_of, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
 from geomid_ros.model.urdf_tree import MOST_URDF_BYTES, origin_of, read_numbers, read_xml
@@ -31,6 +31,7 @@ from geomid_ros.types import FloatArray
 SUFFIX = ".xacro"
 _SECONDS = 30  # time limit of xacro [s]
 _MEMORY = 2_000_000_000  # memory limit of xacro [bytes]
+_ROBOT = ["robot"]
 
 
 def read_urdf(path: Path) -> str:
@@ -96,7 +97,7 @@ def with_inertials(urdf: str, inertias: Mapping[str, FloatArray], removed: Seque
     """Replace the inertials of ``urdf`` by bodies with these parameters ``(10,)``, by link, and delete those of the
     links ``removed``, which are fixed to others and included there; every other character is kept."""
     data = urdf.encode()
-    links = children_of(data, "robot", "link", "inertial")
+    links = spans_of(data, _ROBOT, "link", "inertial")
     edits = [insertion(data, links[name], _inertial(parameters)) for name, parameters in inertias.items()]
     edits += [(*inertial, b"") for name in removed if (inertial := links[name].child)]
     return edited(data, edits).decode()
@@ -121,7 +122,7 @@ def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
     """
     data = urdf.encode()
     effects = list(effects)
-    joints, links = children_of(data, "robot", "joint", "dynamics"), children_of(data, "robot", "link", "inertial")
+    joints, links = spans_of(data, _ROBOT, "joint", "dynamics"), spans_of(data, _ROBOT, "link", "inertial")
     edits = [_dynamics(data, joints[name], numbers) for name, numbers in joint_attributes(effects, "dynamics").items()]
     end = data.rindex(b"</robot")
     payloads = [_payload(effect, links, joints) for effect in effects if is_payload(effect)]
@@ -159,7 +160,7 @@ def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
         for transmission in read_xml(urdf, source).findall("transmission")
         for joint in transmission.findall("joint")
     }
-    spans = children_of(data, "robot", "transmission", "actuator")
+    spans = spans_of(data, _ROBOT, "transmission", "actuator")
     end, edits, added = data.rindex(b"</robot"), [], b""
     for joint, attributes in joint_attributes(effects, "actuator").items():
         inside = _rotor(attributes["drake:rotor_inertia"])
@@ -180,7 +181,7 @@ def _massless(urdf: str, source: str) -> list[Edit]:
         for link in read_xml(urdf, source).findall("link")
         if (mass := link.find("inertial/mass")) is not None and float(mass.get("value", 0.0)) == 0.0
     ]
-    spans = children_of(urdf.encode(), "robot", "link", "inertial")
+    spans = spans_of(urdf.encode(), _ROBOT, "link", "inertial")
     return [(*span.child, b"") for name in weightless if name and (span := spans[name]).child]
 
 

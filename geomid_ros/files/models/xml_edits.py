@@ -22,17 +22,9 @@ class Span:
     child: tuple[int, int] | None = None
 
 
-def children_of(data: bytes, root: str, kind: str, child: str) -> dict[str, Span]:
-    """Spans by name of the elements ``kind`` directly below the ``root``, and of their ``child`` elements."""
-    return _spans(data, [root], kind, child, deeper=False)
-
-
-def descendants_of(data: bytes, above: list[str], kind: str, child: str = "") -> dict[str, Span]:
-    """Spans by name of the elements ``kind`` anywhere below the path ``above``, which begins at the root."""
-    return _spans(data, above, kind, child, deeper=True)
-
-
-def _spans(data: bytes, above: list[str], kind: str, child: str, *, deeper: bool) -> dict[str, Span]:
+def spans_of(data: bytes, above: list[str], kind: str, child: str = "", *, deeper: bool = False) -> dict[str, Span]:
+    """Spans by name of the elements ``kind`` directly below the path ``above``, which begins at the root, or anywhere
+    ``deeper``, and of their ``child`` elements."""
     spans: dict[str, Span] = {}
     path: list[tuple[str, Span | None]] = []
     parser = expat.ParserCreate("utf-8")  # the XML declaration is ignored, as the text was decoded before
