@@ -8,7 +8,7 @@ from __future__ import annotations
 import fcntl
 import os
 import stat
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -52,12 +52,6 @@ class Checkpoint:
     number: int = 0
 
 
-def largest_size(channels: Sequence[Channel], folds: int) -> int:
-    """Maximum size of a checkpoint of these channels [bytes]."""
-    numbers = sum((len(channel.columns) + 1) ** 2 + 1 for channel in channels)
-    return 2 * MOST_HEADER + 8 * folds * REGIMES * numbers
-
-
 @dataclass(frozen=True)
 class Restored:
     """The restored checkpoint, None if there is none, and a sentence for each file that could not be used."""
@@ -77,7 +71,8 @@ class CheckpointFolder:
         """
         self.path = path
         self._meaning = meaning
-        self._limit = largest_size(channels, folds)
+        numbers = sum((len(channel.columns) + 1) ** 2 + 1 for channel in channels)
+        self._limit = 2 * MOST_HEADER + 8 * folds * REGIMES * numbers  # maximum size of a checkpoint [bytes]
         self._number = 0
         self._next = _NAMES[0]
         self._in_the_way = ""
@@ -107,7 +102,8 @@ class CheckpointFolder:
         ``use`` raises InputError for a checkpoint that it cannot use. Such files are renamed, so that nothing
         overwrites them. Only the newest renamed files are kept.
         """
-        self._clear()
+        # Temporary files of a process that was killed while writing.
+        _remove(file for name in _NAMES for file in self.path.glob(f".{name}.*"))
         checkpoints, problems = self._candidates()
         used = None
         for name in sorted(checkpoints, key=lambda name: -checkpoints[name].number):
@@ -120,21 +116,9 @@ class CheckpointFolder:
             self._next = _other(name)
             break
         sentences = tuple(self._set_aside(name, problem) for name, problem in problems.items())
-        self._clear_aside()
+        # Sorting the renamed files by name sorts them by time.
+        _remove(sorted(file for name in _NAMES for file in self.path.glob(f"{_ASIDE}*-{name}"))[:-_MOST_ASIDE])
         return Restored(used, sentences)
-
-    def _clear(self) -> None:
-        """Remove temporary files of a process that was killed while writing."""
-        for name in _NAMES:
-            for temporary in self.path.glob(f".{name}.*"):
-                with suppress(OSError):
-                    temporary.unlink()
-
-    def _clear_aside(self) -> None:
-        """Remove the oldest renamed files; sorting by name sorts by time."""
-        for old in sorted(path for name in _NAMES for path in self.path.glob(f"{_ASIDE}*-{name}"))[:-_MOST_ASIDE]:
-            with suppress(OSError):
-                old.unlink()
 
     def _candidates(self) -> tuple[dict[str, Checkpoint], dict[str, str]]:
         """Readable checkpoints, and the problems of the other files, by name."""
@@ -153,12 +137,12 @@ class CheckpointFolder:
     def _set_aside(self, name: str, problem: str) -> str:
         """Rename a file that cannot be used, and return a sentence about it."""
         path = self.path / name
+        sentence = f"checkpoint {path} is not used: {problem}"
         try:
-            aside = _renamed(path)
+            return f"{sentence}; it is kept as {_renamed(path)}"
         except OSError as error:
             self._in_the_way = f"{path}: cannot be set aside ({error.strerror or error})"
-            return f"checkpoint {path} is not used: {problem}"
-        return f"checkpoint {path} is not used: {problem}; it is kept as {aside}"
+            return sentence
 
     def write(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint over the older generation. Raises GeomidError naming the file."""
@@ -172,6 +156,13 @@ class CheckpointFolder:
         write_bytes(path, content)
         self._number += 1
         self._next = _other(self._next)
+
+
+def _remove(files: Iterable[Path]) -> None:
+    """Remove these files as far as possible."""
+    for file in files:
+        with suppress(OSError):
+            file.unlink()
 
 
 def _other(name: str) -> str:
