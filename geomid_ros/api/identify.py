@@ -26,7 +26,7 @@ from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effects_file import unrepresentable, write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
+from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF, with_same_files
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.model.channels import Channel
@@ -365,7 +365,7 @@ def identify(options: IdentifyOptions) -> Identification:
         estimate=estimate,
         held_out=held_out,
         judged=tested,
-        reader=options.reader,
+        reader=with_same_files(options.reader),
         command=options.command,
     )
 

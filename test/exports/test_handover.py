@@ -14,6 +14,7 @@ from files.recordings import BAGS, QUICK
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
+from geomid_ros.errors import InputError
 from geomid_ros.exports.handover import DescriptionTest, FileTest, ReadBack, read_mjcf_back, read_urdf_back
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.mjcf import mjcf
@@ -177,6 +178,21 @@ def test_an_earlier_estimate_is_exported_as_not_fitted(tmp_path: Path) -> None:
     inertias = {link.name: link.parameters for link in found().links}
     (tmp_path / "identified.urdf").write_text(with_inertials(found().session.urdf, inertias))
     assert not read_model(tmp_path / "estimate.json", "mujoco").fitted
+
+
+def test_a_model_for_a_reader_has_the_links_of_the_estimate(tmp_path: Path) -> None:
+    save(found().session, tmp_path, found().estimate)
+    document = json.loads((tmp_path / "estimate.json").read_text())
+    document["handover"]["mujoco"]["links"][0]["name"] = "other"
+    (tmp_path / "estimate.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"handover for mujoco: its links are link2, link3, other; expected link1"):
+        read_model(tmp_path / "estimate.json", "mujoco")
+
+
+def test_moveit_reads_what_is_written_for_any_reader_of_a_urdf() -> None:
+    result = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", reader="moveit")
+    assert result.written.files == handed("urdf").files
+    assert result.document["handover"]["urdf"]["file"] == "identified.urdf"
 
 
 def predicted_by(read: ReadBack, samples: Samples) -> FloatArray:

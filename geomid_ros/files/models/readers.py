@@ -23,5 +23,12 @@ MJCF of the user (:data:`EXISTING_MJCF`) supports the entries of its bodies and 
 
 READERS = tuple(reader for reader in ELEMENTS if reader != "moveit")
 """Readers with different files."""
+
+
+def with_same_files(reader: str) -> str:
+    """Reader of :data:`READERS` with the same files; ``reader`` itself if there is none."""
+    return next((name for name in READERS if ELEMENTS[name] == ELEMENTS.get(reader)), reader)
+
+
 DESCRIBED_FOR = tuple(reader for reader in ELEMENTS if reader != EXISTING_MJCF)
 """Readers for which a description of the whole robot is written."""

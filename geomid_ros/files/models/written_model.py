@@ -18,6 +18,7 @@ import numpy as np
 
 from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.verdict import recording_verdict
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effects_file import (
@@ -30,7 +31,7 @@ from geomid_ros.files.models.effects_file import (
 )
 from geomid_ros.files.models.estimate_file import EstimateFile, inertias_of, link_entry, verdict_entry
 from geomid_ros.files.models.mjcf import mjcf
-from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
+from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF, with_same_files
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, to_document
 from geomid_ros.model.coefficients import Coefficient
@@ -94,7 +95,7 @@ def write_model(
     of_urdf, of_mjcf = alone[URDF], alone["mujoco"]
     write_text(folder / IDENTIFIED, with_effects(with_inertials(urdf, of_urdf.inertias, removed), of_urdf.effects))
     write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity))
-    of_sidecar = reader if reader in models else URDF
+    of_sidecar = with_same_files(reader)
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, models[of_sidecar].effects, alone[of_sidecar].effects)
     return [folder / name for name in (ESTIMATE, IDENTIFIED, MJCF, EFFECTS_FILE)]
 
@@ -209,8 +210,12 @@ def handover_entry(model: WrittenModel, merged: Mapping[str, Sequence[str]]) -> 
 
 def fitted_model_of(file: EstimateFile, reader: str) -> WrittenModel | None:
     """Model that was fitted for a ``reader``; None if the file has none. Raises InputError if it is invalid."""
-    names = (name for name, elements in ELEMENTS.items() if elements == ELEMENTS.get(reader))
-    handover = next((file.handover[name] for name in names if name in file.handover), None)
+    handover, source = file.handover.get(with_same_files(reader)), f"{file.source}: handover for {reader}"
     if handover is None:
         return None
-    return WrittenModel(inertias_of(handover.links, f"{file.source}: handover for {reader}"), handover.effects)
+    inertias = inertias_of(handover.links, source)
+    links = {*inertias, *(effect.link for effect in handover.effects if is_payload(effect))}
+    if links != file.inertias.keys():
+        here, expected = (", ".join(sorted(names)) for names in (links, file.inertias))
+        raise InputError(f"{source}: its links are {here}; expected {expected}")
+    return WrittenModel(inertias, handover.effects)
