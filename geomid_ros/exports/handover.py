@@ -210,29 +210,16 @@ class DescriptionTest:
     def evaluate(self, batches: Sequence[Samples], full_rms: Mapping[str, float]) -> FileTest:
         """Test the file on samples. ``full_rms``: residual RMS of the full estimate on them, by channel. Raises
         InputError if MuJoCo or pinocchio rejects it."""
-        effects = model_effects(self.estimate, self.session.loaded.effects)
+        model, effects = self.session.model, model_effects(self.estimate, self.session.loaded.effects)
         lacks = {
             channel.name: unrepresentable(
                 [own for own in effects if channel.name in own.joint.split("+")], ELEMENTS[self.reader]
             )
-            for channel in self.session.model.channels
+            for channel in model.channels
         }
-        return evaluate_description(
-            self.session,
-            self.reader,
-            self._whole,
-            batches,
-            full_rms,
-            errors=self._errors_of_sensors,
-            omitted_effects=lacks,
-        )
-
-    @property
-    def _errors_of_sensors(self) -> FloatArray:
-        """Parameters ``(D,)`` of the sensor errors, which are in files beside the description."""
-        model = self.session.model
         of_sensors = [effect for effect in self.model.effects if effect_class(effect.effect).is_sensor_error]
-        return np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
+        errors = np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
+        return evaluate_description(self.session, self.reader, self._whole, batches, full_rms, errors, lacks)
 
 
 def file_name(reader: str) -> str:
@@ -274,35 +261,30 @@ class FileTest:
     def worse(self) -> list[str]:
         """Sentences on the channels that the file predicts worse than the given description, where the corrected file
         and the full estimate do, too."""
-        return [f"{text}; {_RECORD}" for name, text in self._worse if self._estimate_is_worse(name)]
+        return [sentence for sentence, as_estimate in self._remarks if as_estimate]
 
     @property
     def limited(self) -> list[str]:
         """Sentences on the other worse channels, which the corrected file or the full estimate predicts better: the
         sensor errors are beside the file, or it cannot represent some effects."""
-        return [f"{text}{self._reason(name)}" for name, text in self._worse if not self._estimate_is_worse(name)]
+        return [sentence for sentence, as_estimate in self._remarks if not as_estimate]
 
     @property
-    def _worse(self) -> Iterator[tuple[str, str]]:
+    def _remarks(self) -> Iterator[tuple[str, bool]]:
+        """Yield a sentence for each worse channel; True if the corrected file and the full estimate are worse, too."""
         for name, rms in self.alone.items():
-            if self._is_worse(name, rms):
-                sentence = (
-                    f"'{name}' is predicted worse by {self.name} than by the given description: RMS {rms:.3g} "
-                    f"instead of {self.given[name]:.3g}"
-                )
-                yield name, sentence
-
-    def _estimate_is_worse(self, channel: str) -> bool:
-        return all(self._is_worse(channel, kind[channel]) for kind in (self.corrected, self.full_rms))
-
-    def _is_worse(self, channel: str, rms: float) -> bool:
-        return rms > WORSE * self.given[channel]
-
-    def _reason(self, channel: str) -> str:
-        if not self._is_worse(channel, corrected := self.corrected[channel]):
-            return f", {corrected:.3g} with the errors of sensors in effects.yaml; {_ADD}"
-        lacks = self.omitted_effects.get(channel)
-        return (f" (it cannot represent {'; '.join(lacks)})" if lacks else "") + f"; {_ADVICE}"
+            given, corrected = self.given[name], self.corrected[name]
+            sentence = (
+                f"'{name}' is predicted worse by {self.name} than by the given description: RMS {rms:.3g} "
+                f"instead of {given:.3g}"
+            )
+            if rms > WORSE * given and corrected > WORSE * given:
+                lacks = "; ".join(self.omitted_effects.get(name, ()))
+                reason = f"{f' (it cannot represent {lacks})' if lacks else ''}; {_ADVICE}"
+                as_estimate = self.full_rms[name] > WORSE * given
+                yield f"{sentence}; {_RECORD}" if as_estimate else sentence + reason, as_estimate
+            elif rms > WORSE * given:
+                yield f"{sentence}, {corrected:.3g} with the errors of sensors in effects.yaml; {_ADD}", False
 
     @property
     def entry(self) -> dict[str, object]:
@@ -324,7 +306,7 @@ def evaluate_description(
     description: DescriptionFiles,
     batches: Sequence[Samples],
     full_rms: Mapping[str, float],
-    errors: FloatArray | None = None,
+    errors: FloatArray | float = 0.0,
     omitted_effects: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> FileTest:
     """Test a description on samples, loaded by MuJoCo if it is an MJCF, else by pinocchio.
@@ -347,8 +329,7 @@ def evaluate_description(
     else:
         written = read_urdf_back(session.read_robot(description.text, name), reader, description.extra_files)
     given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
-    model, none = session.model, np.zeros(session.model.dimension)
-    kinds = (written, none), (written, none if errors is None else errors), (given, none)
+    model, kinds = session.model, ((written, 0.0), (written, errors), (given, 0.0))
     parameters = np.column_stack([read.parameters(model) + offsets for read, offsets in kinds])
 
     def added(samples: Samples) -> FloatArray:

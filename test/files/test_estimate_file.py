@@ -113,10 +113,6 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
         "the inertia of link 'link3' is not physically consistent",
     ),
     "negative friction": (edited(["effects", 0, "value"], -0.1), "must be positive"),
-    "a constant beyond its range": (
-        edited(["effects", 0, "smoothing"], -1.0),
-        "smoothing of coulomb_friction at 'joint1' is -1, expected a number above 0 and below inf",
-    ),
     "another robot": (of_another_robot, "another robot.*leg_link3.*link1, link2, link3"),
 }
 

@@ -315,15 +315,28 @@ def write_model_and_load(tmp_path: Path, effects: list[KnownEffect]) -> Session:
     return Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
 
 
-@pytest.mark.parametrize("smoothing", [0.0, -0.1, float("nan"), "slow", None])
-def test_an_impossible_smoothing_is_refused_by_name(tmp_path: Path, smoothing: Any) -> None:
+@pytest.mark.parametrize(
+    ("smoothing", "expected"),
+    [
+        (0.0, "0, expected a number above 0 and below 9"),
+        (9.5, "9.5, expected a number above 0 and below 9"),
+        (None, "nan, expected a number above 0"),
+        (float("nan"), "nan, expected a finite number"),
+        ("slow", "'slow', expected a finite number"),
+    ],
+)
+def test_an_impossible_smoothing_is_refused_by_name(
+    tmp_path: Path, smoothing: Any, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    level, form = CoulombFriction.parameters
+    monkeypatch.setattr(CoulombFriction, "parameters", (level, replace(form, below=9.0)))
     session_with(tmp_path, [effect("coulomb_friction", "joint1", level=0.6, smoothing=0.3)])
     path = tmp_path / "estimate.json"
     document = json.loads(path.read_text())
     assert document["effects"][0]["smoothing"] == 0.3
     document["effects"][0]["smoothing"] = smoothing
     path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match=r"json: smoothing of coulomb_friction at 'joint1' is .*above 0 rad/s"):
+    with pytest.raises(InputError, match=f"json: smoothing of coulomb_friction at 'joint1' is {expected}"):
         LoadedModel.read(str(path))
 
 

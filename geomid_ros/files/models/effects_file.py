@@ -21,6 +21,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -216,7 +217,8 @@ def _check_effect(effect: KnownEffect, where: str) -> None:
 def check_quantity(size: Quantity, form: ParameterForm, where: str) -> None:
     """Refuse a parameter that its ``form`` excludes. Raises InputError beginning with ``where``."""
     if not form.above < size.value < form.below:
-        raise InputError(f"{where} is {size.value:g}, expected a number above {form.above:g} and below {form.below:g}")
+        below = f" and below {form.below:g}" if math.isfinite(form.below) else ""
+        raise InputError(f"{where} is {size.value:g}, expected a number above {form.above:g}{below}")
     if size.std < 0.0:
         raise InputError(f"{where}: std is {size.std:g}, expected a number from zero on, or null")
     if size.unit not in form.units:
