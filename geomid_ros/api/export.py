@@ -25,12 +25,10 @@ from geomid_ros.exports.posterior_samples import (
     torque_spread,
 )
 from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.readers import DESCRIBED_FOR, EXISTING_MJCF
+from geomid_ros.files.models.readers import DESCRIBED_FOR, EXISTING_MJCF, MUJOCO
 from geomid_ros.options import Progress, silent, takes
 from geomid_ros.report.pictures import torque_picture
 from geomid_ros.session.options import PathLike, Texts
-
-_MUJOCO = "mujoco"
 
 
 class Exported(NamedTuple):
@@ -71,8 +69,8 @@ def export(options: ExportOptions) -> Exported:
 
 def check_into(tool: str, into: PathLike | None) -> None:
     """Refuse an MJCF if the software is not MuJoCo. Raises InputError."""
-    if into is not None and tool != _MUJOCO:
-        raise InputError(f"into is a file of MuJoCo's: it goes with {_MUJOCO} (--for {_MUJOCO}), not with {tool}")
+    if into is not None and tool != MUJOCO:
+        raise InputError(f"into is a file of MuJoCo's: it goes with {MUJOCO} (--for {MUJOCO}), not with {tool}")
 
 
 def _check(options: ExportOptions) -> None:

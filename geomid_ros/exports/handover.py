@@ -20,7 +20,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, RobotToDescribe
 from geomid_ros.files.models.effects_file import coefficients_of, unrepresentable
 from geomid_ros.files.models.estimate_file import model_effects
-from geomid_ros.files.models.readers import ELEMENTS, URDF
+from geomid_ros.files.models.readers import ELEMENTS, MUJOCO, URDF
 from geomid_ros.files.models.written_model import WrittenModel, written_model
 from geomid_ros.files.schema import attributes_entry
 from geomid_ros.geometry import pseudo_inertia
@@ -160,9 +160,6 @@ def _parameters(mujoco: Any, model: Any, index: int) -> FloatArray:
     axes = rotation.reshape(3, 3)
     inertia = axes @ np.diag(model.body_inertia[index]) @ axes.T
     return pseudo_inertia.assemble(model.body_mass[index], model.body_ipos[index], inertia)
-
-
-MUJOCO = "mujoco"
 
 
 @dataclass(frozen=True, eq=False)

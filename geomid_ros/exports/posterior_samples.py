@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +31,7 @@ from geomid_ros.files.models.posterior import (
     posterior_path,
     read_posterior,
 )
+from geomid_ros.files.models.readers import MUJOCO
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
@@ -152,24 +153,23 @@ def descriptions_of(
         entries = [_entries(robots, model) for model in robots]
         yield "robots.json", json.dumps({"format": 1, "robots": entries}) + "\n"
         return
-    write, digits = _writer(robots.model, tool, into, packages), len(str(robots.count))
+    template = _template(robots.model, into, packages) if tool == MUJOCO else None
+    digits = len(str(robots.count))
     for number, model in enumerate(robots, 1):
-        yield f"robot_{number:0{digits}d}{'.xml' if tool == 'mujoco' else '.urdf'}", write(model)
+        if template is None:
+            yield f"robot_{number:0{digits}d}.urdf", DESCRIPTIONS[tool].whole(as_described(model, packages)).text
+        else:
+            yield f"robot_{number:0{digits}d}.xml", template.with_numbers(model)
 
 
-def _writer(
-    model: ExportModel, tool: str, into: Path | None, packages: Mapping[str, Path]
-) -> Callable[[ExportModel], str]:
-    """Return a function that writes the text of a sampled robot."""
-    if tool != "mujoco":
-        return lambda drawn: DESCRIPTIONS[tool].whole(as_described(drawn, packages)).text
+def _template(model: ExportModel, into: Path | None, packages: Mapping[str, Path]) -> UserMjcf:
+    """MJCF that the numbers of the sampled robots are written into: the user's, or that of the estimate."""
     if into is not None:
         template = read_user_mjcf(model, into)
-        return replace(template, text=_with_absolute_folders(template.text, into)).with_numbers
-    text = DESCRIPTIONS[tool].whole(as_described(model, packages)).text
-    placements = {name: np.eye(4) for name in model.estimated}
+        return replace(template, text=_with_absolute_folders(template.text, into))
+    text = DESCRIPTIONS[MUJOCO].whole(as_described(model, packages)).text
     joints = [joint.name for joint in model.tree.joints]
-    return UserMjcf(model.urdf_path, text, placements, joints, ()).with_numbers
+    return UserMjcf(model.urdf_path, text, {name: np.eye(4) for name in model.estimated}, joints, ())
 
 
 def _with_absolute_folders(text: str, path: Path) -> str:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -41,7 +42,7 @@ def save_trajectory(path: Path, trajectory: Trajectory) -> None:
 
 def write_yaml(path: Path, trajectory: Trajectory) -> None:
     """Write ``trajectory.yaml``. Raises GeomidError naming the file."""
-    lines = [f"joint_names: [{', '.join(map(_quoted, trajectory.joints))}]", "points:"]
+    lines = [f"joint_names: {json.dumps(trajectory.joints, ensure_ascii=False)}", "points:"]
     for numbers, seconds, nanoseconds in points_of(trajectory):
         fields = [f"{name}: [{', '.join(map(repr, values))}]" for name, values in numbers.items() if values]
         fields.append(f"time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
@@ -103,11 +104,6 @@ def points_of(trajectory: Trajectory) -> Iterator[tuple[dict[str, list[float]], 
     arrays = trajectory.positions, trajectory.velocities, trajectory.accelerations, trajectory.efforts
     for time, *numbers in zip(trajectory.times.tolist(), *(array.tolist() for array in arrays), strict=True):
         yield dict(zip(_ONE_OF, numbers, strict=True)), *divmod(round(1e9 * time), 10**9)
-
-
-def _quoted(name: str) -> str:
-    escaped = name.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
 
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, if libyaml is installed

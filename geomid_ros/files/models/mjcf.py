@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -165,7 +166,7 @@ class _Writer:
         self._driven = set(robot.joint_names)
         self._moving = self._driven.union(follower.joint.name for follower in robot.mimic_joints)
         effects = list(effects)
-        self._joint_attributes = joint_attributes(effects, "joint")
+        self._joint_attributes = defaultdict(dict[str, float], joint_attributes(effects, "joint"))
         # One entry per effect: two effects of a pair may have different ratios.
         tendons = (joint_attributes([effect], "tendon") for effect in effects)
         self._tendon_attributes = [(name, numbers) for pairs in tendons for name, numbers in pairs.items()]
@@ -185,10 +186,7 @@ class _Writer:
         base = self._add_link(SubElement(root, "worldbody"), self._robot.tree.root, None)
         if self._robot.floating_base:
             base.insert(0, Element("freejoint", name="floating_base"))
-        actuators = SubElement(root, "actuator")
-        for joint in self._joints:
-            if joint.name in self._driven:
-                self._add_motor(actuators, joint)
+        SubElement(root, "actuator").extend(self._motors())
         _add_all(root, "equality", self._followers())
         _add_all(root, "tendon", self._tendons())
         self._add_sensors(root, sensors)
@@ -236,25 +234,17 @@ class _Writer:
             SubElement(body, "joint", {"name": f"{joint.name}/{hinge.name}", **kind, **attributes})
 
     def _dynamics(self, joint: JointFrame) -> dict[str, str]:
-        numbers = self._attributes_at(joint) | {"armature": self._rotor(joint)}
+        numbers = self._joint_attributes[joint.name] | {"armature": self._rotor(joint)}
         return {name: number_text(number) for name, number in sorted(numbers.items()) if number != 0.0}
-
-    def _attributes_at(self, joint: JointFrame) -> dict[str, float]:
-        """Attributes of a joint according to the effects, added up."""
-        return self._joint_attributes.get(joint.name, {})
 
     def _hinges(self, joint: JointFrame) -> list[Hinge]:
         """Additional hinges distal to a joint's own."""
-        effects = [
-            (effect, self._effects[name, joint.name])
-            for name, effect in EFFECTS.items()
-            if (name, joint.name) in self._effects
-        ]
-        hinges = [effect.hinge(values, self._distal_inertia(joint)) for effect, values in effects]
+        values = {name: self._effects[name, joint.name] for name in EFFECTS if (name, joint.name) in self._effects}
+        hinges = (EFFECTS[name].hinge(value, self._distal_inertia(joint)) for name, value in values.items())
         return [hinge for hinge in hinges if hinge is not None]
 
     def _rotor(self, joint: JointFrame) -> float:
-        armature = self._attributes_at(joint).get("armature", 0.0)
+        armature = self._joint_attributes[joint.name].get("armature", 0.0)
         return max(armature, _SMALL_ROTOR * self._distal_inertia(joint)) if self._hinges(joint) else armature
 
     def _step(self) -> float:
@@ -284,10 +274,13 @@ class _Writer:
             total = total + placed @ self._composite(joint.child) @ placed.T
         return total
 
-    def _add_motor(self, actuators: Element, joint: JointFrame) -> None:
-        motor = SubElement(actuators, "motor", name=joint.name, joint=joint.name)
-        if math.isfinite(joint.effort):
-            motor.attrib |= {"ctrllimited": "true", "ctrlrange": number_text([-joint.effort, joint.effort])}
+    def _motors(self) -> Iterator[Element]:
+        """Yield motors of the driven joints."""
+        for joint in (joint for joint in self._joints if joint.name in self._driven):
+            motor = Element("motor", name=joint.name, joint=joint.name)
+            if math.isfinite(joint.effort):
+                motor.attrib |= {"ctrllimited": "true", "ctrlrange": number_text([-joint.effort, joint.effort])}
+            yield motor
 
     def _followers(self) -> Iterator[Element]:
         """Yield equality constraints of joints that mimic others."""

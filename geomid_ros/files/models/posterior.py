@@ -15,10 +15,11 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -38,7 +39,6 @@ RTOL = 1e-6
 _HEADER = "posterior"
 _VECTORS = {"parameters": "parameters", "prior": "prior", "prior_spreads": "prior_stds"}  # by their names in the file
 _MOST_PARAMETERS = 2000
-T = TypeVar("T")
 
 # Errors of NumPy, zipfile and json; RuntimeError for encrypted files, MemoryError for an array that is not there.
 _UNREADABLE = (zipfile.BadZipFile, LookupError, TypeError, ValueError, RuntimeError, EOFError, MemoryError)
@@ -84,7 +84,22 @@ def posterior_path(estimate: Path) -> Path:
 
 def read_posterior(path: Path) -> Posterior:
     """Read a posterior. Raises InputError naming the file."""
-    return _read(path, _posterior)
+    with _opened(path) as (arrays, header):
+        links, effects = header.links, header.effects
+        if [e.positive for e in effects] != sorted((e.positive for e in effects), reverse=True):
+            raise InputError("its text: effects are not in order, expected the positive ones first")
+        positives = sum(effect.positive for effect in effects)
+        size = 10 * len(links) + len(effects)
+        posterior = Posterior(
+            links=tuple(link.name for link in links),
+            merged=tuple(link.merged for link in links),
+            effects=effects,
+            covariance=_numbers(arrays, "covariance", (size, size)),
+            scales=_numbers(arrays, "scales", (len(effects) - positives,)),
+            **{attribute: _numbers(arrays, name, (size,)) for name, attribute in _VECTORS.items()},
+        )
+        _check(posterior)
+        return posterior
 
 
 def check_matches_estimate(posterior: Posterior, file: Path, inertias: Mapping[str, FloatArray], source: str) -> None:
@@ -111,7 +126,27 @@ def places_in(posterior: Posterior, model: MeasurementModel) -> IntArray:
 
 def read_remainder(path: Path) -> KnownRemainder | None:
     """Read the model's remainder; None if the file has none. Raises InputError naming the file."""
-    return _read(path, _remainder)
+    with _opened(path) as (arrays, header):
+        if header.remainder is None:
+            return None
+        joints, channels = header.remainder.joints, header.remainder.channels
+        knots, scales, means, triangles = _numbers(arrays, "knots", (len(joints), 3, 2)), [], [], []
+        for place in range(len(channels)):
+            size, columns = len(arrays[f"mean_{place}"]), len(arrays[f"scales_{place}"])
+            rows = _numbers(arrays, f"triangle_{place}", (size * (size + 1) // 2,), np.float32)
+            scales.append(_numbers(arrays, f"scales_{place}", (size or columns,)))
+            means.append(_numbers(arrays, f"mean_{place}", (size,)))
+            triangles.append(from_upper_triangle(rows, (size, size)))
+        remainder = KnownRemainder(
+            joints=joints,
+            channels=channels,
+            basis=Basis(knots, tuple(scales)),
+            means=tuple(means),
+            triangles=tuple(triangles),
+        )
+        if objection := _objection(remainder):
+            raise InputError(objection)
+        return remainder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,12 +170,16 @@ class _Header:
     remainder: _OfRemainder | None = None
 
 
-def _read(path: Path, read: Callable[[_Arrays, _Header], T]) -> T:
-    """Read a part of the archive with its header."""
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[_Arrays, _Header]]:
+    """Yield the arrays and the header of a file. Whatever is wrong with them becomes an InputError naming the file."""
     content = read_bytes(path, "posterior")
     try:
         arrays = _unpacked(content)
-        return read(arrays, _header(arrays))
+        document = json.loads(str(arrays[_HEADER]))
+        if document["format"] not in (1, FORMAT):
+            raise InputError(f"has format {document['format']!r}, this version reads formats 1 and {FORMAT}")  # noqa: TRY301
+        yield arrays, from_document(_Header, document, "its text:")
     except InputError as error:
         raise InputError(f"{path}: {error}; identify again") from error
     except _UNREADABLE as error:
@@ -157,13 +196,6 @@ def _unpacked(content: bytes) -> _Arrays:
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise InputError("contains an object that is not an array")
     return arrays
-
-
-def _header(arrays: _Arrays) -> _Header:
-    document = json.loads(str(arrays[_HEADER]))
-    if document["format"] not in (1, FORMAT):
-        raise InputError(f"has format {document['format']!r}, this version reads formats 1 and {FORMAT}")
-    return from_document(_Header, document, "its text:")
 
 
 def _size_of(remainder: KnownRemainder) -> int:
@@ -191,47 +223,6 @@ def _arrays_of(remainder: KnownRemainder) -> dict[str, FloatArray]:
         rows = triangle[np.triu_indices(len(triangle))].astype(np.float32)
         arrays |= {f"scales_{place}": scales, f"mean_{place}": mean, f"triangle_{place}": rows}
     return arrays
-
-
-def _remainder(arrays: _Arrays, header: _Header) -> KnownRemainder | None:
-    if header.remainder is None:
-        return None
-    joints, channels = header.remainder.joints, header.remainder.channels
-    knots, scales, means, triangles = _numbers(arrays, "knots", (len(joints), 3, 2)), [], [], []
-    for place in range(len(channels)):
-        size, columns = len(arrays[f"mean_{place}"]), len(arrays[f"scales_{place}"])
-        rows = _numbers(arrays, f"triangle_{place}", (size * (size + 1) // 2,), np.float32)
-        scales.append(_numbers(arrays, f"scales_{place}", (size or columns,)))
-        means.append(_numbers(arrays, f"mean_{place}", (size,)))
-        triangles.append(from_upper_triangle(rows, (size, size)))
-    remainder = KnownRemainder(
-        joints=joints,
-        channels=channels,
-        basis=Basis(knots, tuple(scales)),
-        means=tuple(means),
-        triangles=tuple(triangles),
-    )
-    if objection := _objection(remainder):
-        raise InputError(objection)
-    return remainder
-
-
-def _posterior(arrays: _Arrays, header: _Header) -> Posterior:
-    links, effects = header.links, header.effects
-    if [e.positive for e in effects] != sorted((e.positive for e in effects), reverse=True):
-        raise InputError("its text: effects are not in order, expected the positive ones first")
-    positives = sum(effect.positive for effect in effects)
-    size = 10 * len(links) + len(effects)
-    posterior = Posterior(
-        links=tuple(link.name for link in links),
-        merged=tuple(link.merged for link in links),
-        effects=effects,
-        covariance=_numbers(arrays, "covariance", (size, size)),
-        scales=_numbers(arrays, "scales", (len(effects) - positives,)),
-        **{attribute: _numbers(arrays, name, (size,)) for name, attribute in _VECTORS.items()},
-    )
-    _check(posterior)
-    return posterior
 
 
 def _check(posterior: Posterior) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-URDF, EXISTING_MJCF = "urdf", "mjcf_joints"
+URDF, MUJOCO, EXISTING_MJCF = "urdf", "mujoco", "mjcf_joints"
 ELEMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         URDF: ("urdf",),
