@@ -113,8 +113,7 @@ def _link_notes(body: UncertainInertia) -> tuple[str, ...]:
 
 
 def _sum_of(model: ExportModel, links: Sequence[str], frame: str) -> Export:
-    _check_whole(model, links)
-    massive = _massive(model, links)
+    massive = _bodies(model, links)
     if not massive:
         raise InputError(
             f"{model.source}: nothing at or after '{frame}' has a mass. What is attached there may be merged into a "
@@ -132,10 +131,6 @@ def _sum_of(model: ExportModel, links: Sequence[str], frame: str) -> Export:
     return Export(f"payload at '{frame}': {parts}", frame, inertial, notes)
 
 
-def _massive(model: ExportModel, links: Sequence[str]) -> list[str]:
-    return [link for link in links if link in model.bodies]
-
-
 def _carrier(model: ExportModel, frame: str) -> str:
     """Return the moving link (or the root) that the link ``frame`` is fixed to."""
     return next((joint.child for joint in model.tree.joints_above(frame) if joint.type != "fixed"), model.tree.root)
@@ -144,17 +139,15 @@ def _carrier(model: ExportModel, frame: str) -> str:
 def _moving_with(model: ExportModel, frame: str) -> list[str]:
     """Return the links with a mass that move with the link supporting ``frame``; check that no body is split."""
     model.check_link(frame, "frame")
-    links = model.tree.subtree(_carrier(model, frame))
-    _check_whole(model, links)
-    return _massive(model, links)
+    return _bodies(model, model.tree.subtree(_carrier(model, frame)))
 
 
 def _terms(model: ExportModel, links: Sequence[str], frame: str, sign: float = 1.0) -> list[Summand]:
     return [Summand(model.bodies[link], model.placement(link, frame), sign) for link in links]
 
 
-def _check_whole(model: ExportModel, links: Sequence[str]) -> None:
-    """Refuse to split a body."""
+def _bodies(model: ExportModel, links: Sequence[str]) -> list[str]:
+    """Return the links with a mass among these; refuse to split a body."""
     for name, body in model.bodies.items():
         inside = [link for link in body.merged if link in links]
         if inside and name not in links:
@@ -163,6 +156,7 @@ def _check_whole(model: ExportModel, links: Sequence[str]) -> None:
                 "separately identifiable. Give an estimate or a URDF of the robot without what is attached "
                 f"(--without), or '{name}' itself (--links)"
             )
+    return [link for link in links if link in model.bodies]
 
 
 def _check_identified(model: ExportModel, links: Sequence[str]) -> None:
@@ -200,7 +194,8 @@ def _exact(model: ExportModel, links: Sequence[str], inertial: UncertainInertia)
 def _other_differences(model: ExportModel, reference: ExportModel, frame: str) -> list[str]:
     """Note links elsewhere that differ: they may contain part of the payload."""
     carried = model.tree.subtree(_carrier(model, frame))
-    common = [link for link in _massive(model, model.tree.links) if link in reference.bodies and link not in carried]
+    both = model.bodies.keys() & reference.bodies.keys()
+    common = [link for link in model.tree.links if link in both and link not in carried]
     differing = [link for link in common if not _same(model.bodies[link], reference.bodies[link])]
     if not differing:
         return []

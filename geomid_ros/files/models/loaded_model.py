@@ -142,16 +142,13 @@ class LoadedModel:
 
     def corrected_sensors(self, sensors: Sequence[WrenchSensor]) -> list[WrenchSensor]:
         """Apply the known offsets to the sensors."""
-        shifts: dict[str, FloatArray] = {}
-        for effect in self.effects:
-            shift = effect_class(effect.effect).wrench_shift(values_of(effect))
-            if shift:
-                offset = np.array([shift.get(axis, 0.0) for axis in AXES])
-                shifts[effect.joint] = shifts.get(effect.joint, np.zeros(len(AXES))) + offset
-        return [
-            replace(sensor, offset=tuple(shifts[sensor.topic].tolist())) if sensor.topic in shifts else sensor
-            for sensor in sensors
-        ]
+        corrected = []
+        for sensor in sensors:
+            own = [effect for effect in self.effects if effect.joint == sensor.topic]
+            shifts = [shift for e in own if (shift := effect_class(e.effect).wrench_shift(values_of(e)))]
+            offset = tuple(sum(shift.get(axis, 0.0) for shift in shifts) for axis in AXES)
+            corrected.append(replace(sensor, offset=offset) if shifts else sensor)
+        return corrected
 
     def corrected_signals(self, settings: SignalSettings, joints: Sequence[str]) -> SignalSettings:
         """Apply the known gains and delays of the effort sensors to the settings."""
@@ -220,8 +217,11 @@ class LoadedModel:
         """Raise InputError if a body consists of other links than the body of this name in the file. Links without a
         mass in this description belong to no body, and a payload in the file may be a link here."""
         moving = {link for body in model.robot.bodies for link in (body.name, *body.merged)}
+        carriers = {effect.link for effect in self.effects if is_payload(effect)}
         for body in (model.robot.bodies[place] for place in model.identified):
-            current = {*body.merged} - {link for link in body.merged if self._is_payload(link, body.name)}
+            current = {*body.merged}
+            if body.name in carriers:  # a description that was written from this model has the payload as a link
+                current -= {link for link in body.merged if is_payload_name(link, body.name)}
             recorded = self.merged.get(body.name, current)
             if recorded & moving != current:
                 then, now = (", ".join(sorted(links)) or "no other link" for links in (recorded, current))
@@ -229,11 +229,6 @@ class LoadedModel:
                     f"{self.source}: link '{body.name}' was identified together with {then}, here it moves with {now}: "
                     "declare the same mounted wrench sensors and locked joints as then"
                 )
-
-    def _is_payload(self, link: str, carrier: str) -> bool:
-        """True if a link is the payload of another one in a description that was written from this model."""
-        has_payload = any(is_payload(effect) and effect.link == carrier for effect in self.effects)
-        return has_payload and is_payload_name(link, carrier)
 
     def coefficient_stds(self, model: MeasurementModel) -> FloatArray:
         """Standard deviations ``(D,)`` of the effects' coefficients within their motion, NaN if unknown."""

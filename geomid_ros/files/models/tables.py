@@ -30,11 +30,10 @@ def write_tables(folder: Path, found: Mapping[str, TableRows]) -> list[Path]:
     Raises:
         GeomidError: a file cannot be written.
     """
-    files = []
-    for name, rows in found.items():
-        files.append(folder / f"{name}.csv")
-        write_text(files[-1], csv_text(rows))
-    return files
+    files = {folder / f"{name}.csv": rows for name, rows in found.items()}
+    for file, rows in files.items():
+        write_text(file, csv_text(rows))
+    return list(files)
 
 
 def tables(document: Mapping[str, Any]) -> dict[str, TableRows]:
@@ -61,17 +60,16 @@ def csv_text(rows: TableRows) -> str:
 
 def _link(link: Mapping[str, Any], urdf_masses: Mapping[str, float]) -> dict[str, Any]:
     """Quantities and standard deviations of a link, and how well they are identified."""
-    names = [name.replace(" ", "_") for name in QUANTITIES]
-    entries = {"": link, "std_": link["std"]} if "std" in link else {"": link}
-    sizes = {
-        prefix: from_document(InertiaEntry, entry, f"link {link['name']}:").quantities
-        for prefix, entry in entries.items()
-    }
+    numbers: dict[str, float] = {}
+    for prefix, entry in {"": link, "std_": link.get("std")}.items():
+        if entry is not None:
+            sizes = from_document(InertiaEntry, entry, f"link {link['name']}:").quantities.tolist()
+            numbers |= {prefix + name.replace(" ", "_"): x for name, x in zip(QUANTITIES, sizes, strict=True)}
     return {
         "link": link["name"],
         "merged": _BETWEEN.join(link.get("merged", ())),
         "urdf_mass": urdf_masses.get(link["name"]),
-        **{f"{p}{name}": x for p, values in sizes.items() for name, x in zip(names, values.tolist(), strict=True)},
+        **numbers,
         **{key: link[key] for key in ("distance_from_prior", "from_data") if key in link},
         "not_identifiable": _BETWEEN.join(link.get("cannot_tell", ())),
     }
