@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeAlias
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -98,16 +96,12 @@ def _of_drake(robot: Robot) -> Attributes:
     rotor: Attributes = {}
     for transmission in read_xml(robot.urdf, robot.source).findall("transmission"):
         joint, actuator = transmission.find("joint"), transmission.find("actuator")
-        raws = {_local_name(child): _number(child.get("value")) for child in ([] if actuator is None else actuator)}
+        children = [] if actuator is None else list(actuator)
+        raws = {child.tag.rpartition("}")[2]: _number(child.get("value")) for child in children}
         ratio = raws.pop("gear_ratio", 0.0) or 1.0
         if joint is not None:
             rotor |= {(joint.get("name", ""), f"actuator/drake:{name}"): raw * ratio**2 for name, raw in raws.items()}
     return rotor
-
-
-def _local_name(element: Element) -> str:
-    """Name of an element without its namespace."""
-    return re.sub(r"^\{.*\}|^.*:", "", str(element.tag))
 
 
 def _number(text: str | None) -> float:

@@ -31,6 +31,9 @@ _PRIMITIVES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("r
 _SECTIONS, _SUBDIVISIONS = 128, 4
 # Relative tolerance of volumes, as surfaces are joined in single precision.
 _ROUNDING = 1e-5
+_NO_VOLUME = "shapes without volume, ignored"
+_NOT_CLOSED = "meshes that are not closed, replaced by their convex hulls"
+_NOT_MERGED = "shapes that cannot be merged, so their overlap counts twice"
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,21 +54,15 @@ class ShapeReader:
 
     def __init__(self, urdf: Path, packages: Mapping[str, Path]) -> None:
         """Prepare to read the links of the file ``urdf``; ``packages`` as for :class:`MeshFinder`."""
-        self._no_volume: list[str] = []
-        self._hulls: list[str] = []
-        self._doubled: list[str] = []
+        self._problems: dict[str, list[str]] = {problem: [] for problem in (_NO_VOLUME, _NOT_CLOSED, _NOT_MERGED)}
         self._finder = MeshFinder(urdf, packages)
         self._source = str(urdf)
 
     @property
     def warnings(self) -> list[str]:
         """One sentence per kind of problem, with all links that have it."""
-        problems = {
-            "shapes without volume, ignored": self._no_volume,
-            "meshes that are not closed, replaced by their convex hulls": self._hulls,
-            "shapes that cannot be merged, so their overlap counts twice": self._doubled,
-        }
-        return [f"{problem}: {', '.join(dict.fromkeys(places))}" for problem, places in problems.items() if places]
+        problems = self._problems.items()
+        return [f"{problem}: {', '.join(dict.fromkeys(places))}" for problem, places in problems if places]
 
     def solid(self, link: Element) -> Solid | None:
         """Return the solid of a ``<link>``; None if its shapes have no volume.
@@ -100,7 +97,7 @@ class ShapeReader:
                 for tag in (child.tag for child in geometry[:1]):
                     shape = self._mesh(geometry, name, where) if tag == "mesh" else _primitive(geometry, tag, where)
                     if shape is None:
-                        self._no_volume.append(f"{kind} {tag} of {name}")
+                        self._problems[_NO_VOLUME].append(f"{kind} {tag} of {name}")
                     else:
                         yield shape.moved(_placement(element, where))
 
@@ -112,7 +109,7 @@ class ShapeReader:
             return None
         name = PurePosixPath(uri).name
         if not closed:
-            self._hulls.append(f"{name} of {link}")
+            self._problems[_NOT_CLOSED].append(f"{name} of {link}")
             name = f"hull of {name}"
         shape = _Shape(shapes.polyhedron(mesh.vertices, mesh.faces), mesh, name)
         return shape.moved(np.diag([*scale, 1.0]))
@@ -130,7 +127,7 @@ class ShapeReader:
         volumes = [shapes.volume(moments) for moments in separate]
         union = _union_of_surfaces([shape.surface for shape in parts])
         if not (1.0 - _ROUNDING) * max(volumes) < shapes.volume(union) < (1.0 + _ROUNDING) * sum(volumes):
-            self._doubled.append(link)
+            self._problems[_NOT_MERGED].append(link)
             return total
         overlap: FloatArray = np.sum(separate, axis=0) - union
         return total - overlap if shapes.volume(overlap) > _ROUNDING * sum(volumes) else total

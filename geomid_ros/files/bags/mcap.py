@@ -34,7 +34,9 @@ from geomid_ros.files.disk import MOST_BYTES
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # kind, length
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, times of recording and of publishing
+_CHUNK_HEAD = struct.Struct("<QQQI")  # times of the first and last message, size of the unpacked data, its checksum
 T = TypeVar("T")
+_TOO_SHORT = "a record ends before its last field"
 _TOO_MUCH = "its chunks are too large, or overlap too much in time; 'mcap sort' may help"
 
 
@@ -61,34 +63,6 @@ class _RecordSpan(NamedTuple):
     chunk: bool
     first: float
     channels: frozenset[int]
-
-
-class _Fields:
-    """Reads the fields of a record in sequence. Raises ValueError or struct.error if it ends too early."""
-
-    def __init__(self, record: memoryview) -> None:
-        self._record = record
-        self._place = 0
-
-    def numbers(self, form: str) -> tuple[int, ...]:
-        values = struct.unpack_from(form, self._record, self._place)
-        self._place += struct.calcsize(form)
-        return values
-
-    def block(self, length: int) -> memoryview:
-        block = self._record[self._place : self._place + length]
-        if len(block) < length:
-            raise ValueError("a record ends before its last field")
-        self._place += length
-        return block
-
-    @property
-    def rest(self) -> memoryview:
-        """The remaining bytes."""
-        return self._record[self._place :]
-
-    def text(self) -> str:
-        return str(self.block(*self.numbers("<I")), "utf-8")
 
 
 class McapFile(Storage):
@@ -218,7 +192,7 @@ class McapFile(Storage):
         if not chunk:
             self.has_checksums = False  # until the checksum of the data section is verified
             return _records(data)
-        content, checked, truncated = _chunk_data(_Fields(data[_RECORD.size :]), end == self._size)
+        content, checked, truncated = _chunk_data(data[_RECORD.size :], end == self._size)
         self.has_checksums &= checked
         return _records(memoryview(content), truncated)
 
@@ -238,9 +212,9 @@ class McapFile(Storage):
                     counted[channel] += 1
                     first, last = min(first, time), max(last, time)
                 elif kind == _Kind.SCHEMA:
-                    self._take_schema(_Fields(record))
+                    self._take_schema(record)
                 elif kind == _Kind.CHANNEL:
-                    self._take_channel(_Fields(record))
+                    self._take_channel(record)
         except (ValueError, struct.error) as error:
             raise FaultError(str(error), begin) from error
         self._last = last
@@ -260,19 +234,20 @@ class McapFile(Storage):
         else:
             self._spans.append(span)
 
-    def _take_schema(self, fields: _Fields) -> None:
-        (schema,) = fields.numbers("<H")
-        _set_once(self._schemas, schema, fields.text(), "schema")
+    def _take_schema(self, record: memoryview) -> None:
+        (schema,) = struct.unpack_from("<H", record)
+        _set_once(self._schemas, schema, _text(record, 2)[0], "schema")
 
-    def _take_channel(self, fields: _Fields) -> None:
-        channel, schema = fields.numbers("<HH")
-        topic, encoding = fields.text(), fields.text()
+    def _take_channel(self, record: memoryview) -> None:
+        channel, schema = struct.unpack_from("<HH", record)
+        topic, end = _text(record, 4)
+        encoding, _ = _text(record, end)
         kind = self._schemas.get(schema, "unknown")
         _set_once(self._channels, channel, (topic, kind if encoding == "cdr" else f"{kind} in {encoding}"), "channel")
 
     def _check_profile(self, begin: int, end: int) -> None:
         try:
-            profile = _Fields(memoryview(self._bytes(begin + _RECORD.size, min(end, begin + PIECE)))).text()
+            profile, _ = _text(memoryview(self._bytes(begin + _RECORD.size, min(end, begin + PIECE))), 0)
         except (ValueError, struct.error) as error:
             raise FaultError(f"its header, {error}", begin) from error
         if profile != "ros2":
@@ -306,17 +281,30 @@ def _set_once(table: dict[int, T], key: int, value: T, kind: str) -> None:
         raise ValueError(f"{kind} {key} is declared twice, with different content")
 
 
-def _chunk_data(fields: _Fields, last: bool) -> tuple[bytes | memoryview, bool, bool]:
+def _text(record: memoryview, begin: int) -> tuple[str, int]:
+    """Text that begins at an offset of a record, and the offset of its end. Raises ValueError or struct.error if the
+    record ends too early."""
+    (length,) = struct.unpack_from("<I", record, begin)
+    start, end = begin + 4, begin + 4 + length
+    if end > len(record):
+        raise ValueError(_TOO_SHORT)
+    return str(record[start:end], "utf-8"), end
+
+
+def _chunk_data(record: memoryview, last: bool) -> tuple[bytes | memoryview, bool, bool]:
     """Data of a chunk; True if its checksum was verified; True if it is truncated, as only the ``last`` chunk may be.
 
     Raises ValueError or struct.error.
     """
-    _, _, size, recorded = fields.numbers("<QQQI")
-    method = fields.text()
-    (length,) = fields.numbers("<Q")
-    if last and length > len(fields.rest):
-        return decompress_truncated(fields.rest, method, size), False, True
-    data = decompress(fields.block(length), method, size)
+    _, _, size, recorded = _CHUNK_HEAD.unpack_from(record)
+    method, end = _text(record, _CHUNK_HEAD.size)
+    (length,) = struct.unpack_from("<Q", record, end)
+    packed = record[end + 8 :]
+    if length > len(packed):
+        if last:
+            return decompress_truncated(packed, method, size), False, True
+        raise ValueError(_TOO_SHORT)
+    data = decompress(packed[:length], method, size)
     if recorded and crc32(data) != recorded:
         raise ValueError("the checksum of a chunk is wrong")
     return data, recorded != 0, False

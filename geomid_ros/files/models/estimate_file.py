@@ -376,8 +376,6 @@ def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> Link
 def _can_be_measured(rows: FloatArray, inertias: Mapping[str, FloatArray]) -> bool:
     """True if rows ``(n, 10 links)`` determine no inertia more precisely than is credible."""
     manifold = ParameterManifold(len(inertias), 0, np.zeros(0))
-    if not np.all(np.isfinite(rows)):
-        return False
     with np.errstate(all="ignore"):  # for extreme bodies; results that are not numbers are refused
         whitened = manifold.whiten(manifold.point(np.concatenate([*inertias.values()])), rows)
     return bool(np.all(np.abs(whitened) < 2.0 * FINEST))  # rounded to seven digits
