@@ -15,6 +15,7 @@ from geomid_ros.exports.model import ExportModel
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import joint_attributes
 from geomid_ros.files.models.mjcf import with_identified
+from geomid_ros.files.models.readers import ELEMENTS, EXISTING_MJCF
 from geomid_ros.files.models.urdf import joint_frames
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.urdf_tree import MOST_URDF_BYTES
@@ -65,7 +66,7 @@ def patch_user_mjcf(model: ExportModel, path: Path) -> DescriptionFiles:
     patched = target.with_numbers(model)
     links, attributes = model.estimated or model.bodies, joint_attributes(model.effects, "joint")
     sentences = [
-        *not_representable(model, ("mjcf/joint", "mjcf/body")),
+        *not_representable(model, ELEMENTS[EXISTING_MJCF]),
         *_named(f"{path}: has no body", [name for name in links if name not in target.placements]),
         *_named(f"{path}: has no joint", [name for name in attributes if name not in target.joints]),
         *_named("Merged into other bodies (mass set to zero):", target.emptied),

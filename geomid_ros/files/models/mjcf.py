@@ -64,7 +64,8 @@ def mjcf_shapes(urdf: str, source: str, find: Callable[[str, str], Path]) -> Sha
             for element in link.findall(kind):
                 where = f"{source}: link '{name}'"
                 try:
-                    geom = Element("geom", attributes | _placement(element, where) | _shape(element, where))
+                    pose = _pose(*origin_of(element, where))
+                    geom = Element("geom", attributes | pose | _shape(element, where))
                     mesh = element.find("geometry/mesh")
                     if mesh is not None:
                         geom.set("mesh", _asset(shapes, meshes, mesh, where, find))
@@ -75,8 +76,7 @@ def mjcf_shapes(urdf: str, source: str, find: Callable[[str, str], Path]) -> Sha
     return shapes
 
 
-def _placement(element: Element, where: str) -> dict[str, str]:
-    position, axes = origin_of(element, where)
+def _pose(position: FloatArray, axes: FloatArray) -> dict[str, str]:
     return {"pos": number_text(position), "quat": number_text(np.roll(quaternion(axes), 1))}
 
 
@@ -189,9 +189,13 @@ class _Writer:
         SubElement(root, "actuator").extend(self._motors())
         _add_all(root, "equality", self._followers())
         _add_all(root, "tendon", self._tendons())
-        self._add_sensors(root, sensors)
-        _add_all(root, "asset", shapes.assets)
         bodies = {body.get("name"): body for body in root.iter("body")}
+        section = SubElement(root, "sensor")
+        for sensor in sensors:
+            bodies[_body_name(sensor.frame)].append(Element("site", name=sensor.topic))
+            for kind in ("force", "torque"):
+                SubElement(section, kind, name=f"{sensor.topic}/{kind}", site=sensor.topic)
+        _add_all(root, "asset", shapes.assets)
         for link, geoms in shapes.geoms.items():
             bodies[_body_name(link)].extend(geoms)
         return root
@@ -199,10 +203,7 @@ class _Writer:
     def _add_link(self, parent: Element, link: str, joint: JointFrame | None) -> Element:
         body = SubElement(parent, "body", name=_body_name(link))
         if joint is not None:
-            body.attrib |= {
-                "pos": number_text(joint.position),
-                "quat": number_text(np.roll(quaternion(joint.rotation), 1)),
-            }
+            body.attrib |= _pose(joint.position, joint.rotation)
         moves = joint is not None and joint.name in self._moving
         if link in self._bodies:
             _add_inertial(body, self._bodies[link])
@@ -298,15 +299,6 @@ class _Writer:
             for joint, weight in zip(joints, (1.0, coefficient), strict=False):
                 SubElement(tendon, "joint", joint=joint, coef=number_text(weight))
             yield tendon
-
-    def _add_sensors(self, root: Element, sensors: Sequence[WrenchSensor]) -> None:
-        """Add sites in the sensors' frames, and the sensors there."""
-        section = SubElement(root, "sensor")
-        bodies = {body.get("name"): body for body in root.iter("body")}
-        for sensor in sensors:
-            bodies[_body_name(sensor.frame)].append(Element("site", name=sensor.topic))
-            for kind in ("force", "torque"):
-                SubElement(section, kind, name=f"{sensor.topic}/{kind}", site=sensor.topic)
 
 
 def _add_all(root: Element, name: str, elements: Iterable[Element]) -> None:
