@@ -264,18 +264,20 @@ class FileTest:
     def _remarks(self) -> Iterator[tuple[str, bool]]:
         """Yield a sentence for each worse channel; True if the corrected file and the full estimate are worse, too."""
         for name, rms in self.alone.items():
-            given, corrected = self.given[name], self.corrected[name]
+            limit, corrected = WORSE * self.given[name], self.corrected[name]
+            if not rms > limit:
+                continue
             sentence = (
                 f"'{name}' is predicted worse by {self.name} than by the given description: RMS {rms:.3g} "
-                f"instead of {given:.3g}"
+                f"instead of {self.given[name]:.3g}"
             )
-            if rms > WORSE * given and corrected > WORSE * given:
-                lacks = "; ".join(self.omitted_effects.get(name, ()))
-                reason = f"{f' (it cannot represent {lacks})' if lacks else ''}; {_ADVICE}"
-                as_estimate = self.full_rms[name] > WORSE * given
-                yield f"{sentence}; {_RECORD}" if as_estimate else sentence + reason, as_estimate
-            elif rms > WORSE * given:
+            if not corrected > limit:
                 yield f"{sentence}, {corrected:.3g} with the errors of sensors in effects.yaml; {_ADD}", False
+            elif self.full_rms[name] > limit:
+                yield f"{sentence}; {_RECORD}", True
+            else:
+                lacks = "; ".join(self.omitted_effects.get(name, ()))
+                yield f"{sentence}{f' (it cannot represent {lacks})' if lacks else ''}; {_ADVICE}", False
 
     @property
     def entry(self) -> dict[str, object]:

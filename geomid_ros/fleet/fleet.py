@@ -94,7 +94,7 @@ class Cluster:
         except TimeoutError as error:
             raise InputError(f"the Dask scheduler at {self._address} has no workers; start some") from error
         except (ImportError, AttributeError) as error:
-            reason = str(error)
+            reason = str(error) or type(error).__name__
         if reason:
             raise InputError(
                 f"{self._address}: its workers lack geomid_ros {version} with the extra 'fleet' ({reason}); install "
