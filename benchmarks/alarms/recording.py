@@ -80,7 +80,7 @@ def messages(options: SimulationOptions, parts: Sequence[Part], change: Change |
         bag = Path(folder) / "bag"
         write_bag(bag, seen, robot.plant.joints, robot.nominal.text, options)
         with Bag(bag) as recorded:
-            for _, stamp, data in recorded.raw_messages(["/" + JOINT_STATES]):
+            for _, stamp, _, data in recorded.raw_messages(["/" + JOINT_STATES]):
                 yield (stamp - START * _NANO) / _NANO, Received(JOINT_STATES, data, time.perf_counter())
 
 

@@ -210,7 +210,9 @@ class DescriptionTest:
         }
         of_sensors = [effect for effect in self.model.effects if effect_class(effect.effect).is_sensor_error]
         errors = np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
-        return evaluate_description(self.session, self.reader, self._whole, batches, full_rms, errors, lacks)
+        return evaluate_description(
+            self.session, self.reader, self._whole, batches, full_rms, errors=errors, omitted_effects=lacks
+        )
 
 
 def file_name(reader: str) -> str:

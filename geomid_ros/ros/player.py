@@ -68,7 +68,7 @@ def _published(node: Node, bag: Bag, kinds: dict[str, Any], rate: float, wait: f
     _wait_for_subscribers(publishers, wait)
     total = bag.count(list(kinds))
     begin = time.monotonic()
-    for published, (topic, stamp, raw) in enumerate(bag.raw_messages(list(kinds)), start=1):
+    for published, (topic, stamp, _, raw) in enumerate(bag.raw_messages(list(kinds)), start=1):
         due = begin + (stamp - bag.start) * 1e-9 / rate
         time.sleep(max(0.0, due - time.monotonic()))
         publishers[topic].publish(raw)

@@ -363,7 +363,7 @@ class GapReader:
             name, option = self.bags.topics.joint_states, "--joint-topic"
             topic = bag.find_topic(name, message_type(JOINT_STATES), option, LOW_STATE)
             if bag.topics[topic] == LOW_STATE:
-                return [time for _, time, _ in islice(bag.raw_messages([topic]), MESSAGES_FOR_RATE)]
+                return [message.time for message in islice(bag.raw_messages([topic]), MESSAGES_FOR_RATE)]
             first = [parse(JOINT_STATES, raw) for _, _, raw in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
         # A driver may publish more often than it measures.
         stamps = {tuple(array.tobytes() for array in message.arrays): message.stamp for message in first[::-1]}

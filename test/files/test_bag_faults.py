@@ -42,7 +42,11 @@ Content = list[tuple[str, int, bytes]]
 def content(path: Path) -> Content:
     """All that a bag says."""
     with Bag(path) as bag:
-        return list(bag.raw_messages(list(bag.topics)))
+        return content_of(bag)
+
+
+def content_of(bag: Bag) -> Content:
+    return [(message.topic, message.time, message.data) for message in bag.raw_messages(list(bag.topics))]
 
 
 def by_rosbags(path: Path) -> Content:
@@ -117,7 +121,7 @@ class TestTruncated:
                 assert "it has no intact message" in error_of(path)
                 continue
             with Bag(path) as bag:
-                found = list(bag.raw_messages(list(bag.topics)))
+                found = content_of(bag)
                 (warning,) = bag.warnings
             assert len(found) >= count if form.method and form.chunk else len(found) == count
             assert found == everything[: len(found)]
@@ -142,7 +146,7 @@ class TestTruncated:
             path = tmp_path / "cut.db3"
             path.write_bytes(whole[: int(share * len(whole))])
             with Bag(path) as bag:
-                found = list(bag.raw_messages(list(bag.topics)))
+                found = content_of(bag)
                 assert f"its {len(found)} intact messages are read" in bag.warnings[0]
                 assert f"truncated at byte {path.stat().st_size}" in bag.warnings[0]
             counts.append(len(found))
@@ -169,7 +173,7 @@ class TestTruncated:
         recorder.close()
         before = {file.name: file.read_bytes() for file in folder.iterdir()}
         with Bag(killed) as bag:
-            assert len(list(bag.raw_messages(list(bag.topics)))) == 100
+            assert len(content_of(bag)) == 100
             assert "it was not closed; its 100 intact messages are read" in bag.warnings[0]
         assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
@@ -179,7 +183,7 @@ class TestTruncated:
         journal = Path(f"{path}-journal")
         journal.write_bytes(b"\xd9\xd5\x05\xf9 \xa1c\xd7" + bytes(600))
         with Bag(path) as bag:
-            assert len(list(bag.raw_messages(list(bag.topics)))) == 50
+            assert len(content_of(bag)) == 50
             assert f"{journal.name} holds a part of it" in bag.warnings[0]
         assert journal.exists()
 
@@ -191,7 +195,7 @@ class TestTruncated:
         last = min(bag.glob("bag_1*"))
         last.write_bytes(last.read_bytes()[: int(left * last.stat().st_size)])
         with Bag(bag) as opened:
-            found = list(opened.raw_messages(list(opened.topics)))
+            found = content_of(opened)
             assert len(opened.warnings) == 1
             assert last.name in opened.warnings[0]
         assert len(found) == 600 if left == 0.0 else 600 < len(found) < 1200
@@ -202,7 +206,7 @@ class TestTruncated:
         whole = content(bag)
         (bag / "metadata.yaml").unlink()
         with Bag(bag) as opened:
-            assert list(opened.raw_messages(list(opened.topics))) == whole
+            assert content_of(opened) == whole
             assert (
                 "has no metadata.yaml (was its recorder killed?); reading its files: bag.mcap" in (opened.warnings[0])
             )
@@ -254,7 +258,7 @@ class TestFlippedBit:
             path.write_bytes(damaged)
             try:
                 with Bag(path) as bag:
-                    read = list(bag.raw_messages(list(bag.topics)))
+                    read = content_of(bag)
             except InputError as error:
                 assert "flipped.mcap" in str(error)  # noqa: PT017 either outcome is right
                 found += 1

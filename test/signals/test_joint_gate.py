@@ -42,7 +42,7 @@ def recorded(name: str) -> tuple[Session, Block]:
     if not bag.exists():
         pytest.skip(f"{bag} is absent")
     with Bag(bag) as opened:
-        raw = [(JOINT_STATES, data) for _, _, data in opened.raw_messages(["/joint_states"])]
+        raw = [(JOINT_STATES, message.data) for message in opened.raw_messages(["/joint_states"])]
     (block,) = [block for block in Decoder().blocks(raw, lambda *_: None) if len(block.stamps) > 1]
     return Session(read_urdf(urdf), Configuration(), urdf.name), block
 

@@ -31,7 +31,8 @@ def read(path: Path) -> tuple[_Content, bool, bool]:
         bag.count(topics)
         for _ in bag.messages(topics):
             pass
-        return list(bag.raw_messages(topics)), not bag.warnings, bag.has_checksums
+        content = [(message.topic, message.time, message.data) for message in bag.raw_messages(topics)]
+        return content, not bag.warnings, bag.has_checksums
 
 
 class McapTarget:

@@ -46,7 +46,7 @@ class Bag:
         self._stack = ExitStack()
         with ExitStack() as stack:
             try:
-                files = _bag_files(path, lambda: Path(stack.enter_context(TemporaryDirectory(prefix="geomid_bag_"))))
+                files = _bag_files(path, stack)
                 for file in files.paths:
                     self._storages.append(_FORMATS[files.suffix](file))
                     stack.callback(self._storages[-1].close)
@@ -107,7 +107,7 @@ class Bag:
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """Yield topic, recording time [ns] and message of everything on ``topics``, in the order of recording."""
         types = message_types()
-        for count, (topic, time, kind, data) in enumerate(self._raw_messages(topics)):
+        for count, (topic, time, kind, data) in enumerate(self.raw_messages(topics)):
             if kind not in types.types:
                 raise InputError(f"{self._where(topic, time)} has the type {kind}, which is not a standard ROS 2 type")
             self._check_size(topic, time, data)
@@ -138,7 +138,7 @@ class Bag:
         """
         batch: list[RawMessage] = []
         size = 0
-        for message in self._raw_messages(topics):
+        for message in self.raw_messages(topics):
             self._check_size(message.topic, message.time, message.data)
             batch.append(message)
             size += sys.getsizeof(message.data)
@@ -148,11 +148,8 @@ class Bag:
         if batch:
             yield batch
 
-    def raw_messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
-        """Topic, recording time [ns] and serialised message of everything on ``topics``."""
-        return ((topic, time, data) for topic, time, _, data in self._raw_messages(topics))
-
-    def _raw_messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+    def raw_messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Yield everything on ``topics`` as it was serialised, in the order of recording."""
         for storage in self._storages:
             for message in storage.messages(topics):
                 yield self._unpacked(message, self._packed) if self._packed else message
@@ -196,15 +193,15 @@ class _BagFiles:
     warnings: tuple[str, ...] = ()
 
 
-def _bag_files(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
-    """Find the files of a recording. Files compressed as a whole are unpacked into the folder that ``scratch`` makes.
+def _bag_files(path: Path, stack: ExitStack) -> _BagFiles:
+    """Find the files of a recording. Files compressed as a whole are unpacked into a folder that the ``stack`` removes.
 
     Raises InputError naming the file.
     """
     if not path.exists():
         raise InputError(f"{path}: no such bag")
     if path.is_dir():
-        return _in_folder(path, scratch)
+        return _in_folder(path, stack)
     if path.suffix == ".bag":
         command = ["rosbags-convert", "--src", str(path), "--dst", str(path.with_suffix("")), *_TO_JAZZY]
         raise InputError(f"{path}: a bag of ROS 1; convert it with: {shlex.join(command)}")
@@ -214,7 +211,7 @@ def _bag_files(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
     return _BagFiles((_checked(path),), path.suffix)
 
 
-def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
+def _in_folder(path: Path, stack: ExitStack) -> _BagFiles:
     metadata = path / _METADATA
     if not metadata.is_file():
         return _without_metadata(path)
@@ -226,18 +223,20 @@ def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
     except (KeyError, TypeError, AttributeError) as error:
         problem = f"no valid {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{metadata}: cannot be read, {problem}; 'ros2 bag reindex' rewrites it") from error
-    if mode == "none":
-        return _BagFiles(tuple(paths), suffix)
-    if mode not in ("file", "message") or method not in METHODS:
+    if mode != "none" and (mode not in ("file", "message") or method not in METHODS):
         raise InputError(
             f"{metadata}: cannot be read, compression of a {mode} by {method}; expected file or message, "
             f"{' or '.join(METHODS)}"
         )
-    if mode == "message":
-        return _BagFiles(tuple(paths), suffix, packed=method)
-    folder = scratch()
-    unpacked = (_unpacked_file(file, folder / f"{n}-{file.stem}", method) for n, file in enumerate(paths))
-    return _BagFiles(tuple(unpacked), suffix)
+    if mode == "file":
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="geomid_bag_")))
+        for index, file in enumerate(paths):
+            paths[index] = folder / f"{index}-{file.stem}"
+            try:
+                decompress_file(file, paths[index], method)
+            except (OSError, ValueError) as error:
+                raise InputError(f"{file}: cannot be read as a rosbag2 recording: {error}") from error
+    return _BagFiles(tuple(paths), suffix, packed=method if mode == "message" else "")
 
 
 def _without_metadata(path: Path) -> _BagFiles:
@@ -257,11 +256,3 @@ def _checked(path: Path) -> Path:
     if not path.is_file():
         raise InputError(f"{path}: cannot be read as a part of a rosbag2 recording, the file is missing")
     return path
-
-
-def _unpacked_file(path: Path, target: Path, method: str) -> Path:
-    try:
-        decompress_file(path, target, method)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as a rosbag2 recording: {error}") from error
-    return target
