@@ -276,7 +276,8 @@ class Configuration:
     @property
     def effects(self) -> list[IdentifiedEffect]:
         """Effects to identify everywhere, with the effects that they include."""
-        return list(dict.fromkeys(part for effect in self._named("effects") for part in _parts(effect)))
+        parts = dict.fromkeys(part for effect in self._named("effects") for part in effect.parts)
+        return [part for part in parts if isinstance(part, IdentifiedEffect)]
 
     @property
     def candidates(self) -> list[IdentifiedEffect]:
@@ -387,7 +388,3 @@ class Configuration:
         return self.naming_source(
             "", lambda: BufferSettings(self["still_speed"], self["still_distance"], self["forgetting_time"] or np.inf)
         )
-
-
-def _parts(effect: IdentifiedEffect) -> list[IdentifiedEffect]:
-    return [part for part in effect.parts if isinstance(part, IdentifiedEffect)]

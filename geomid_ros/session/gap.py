@@ -193,20 +193,18 @@ def known_remainder_of(session: Session) -> KnownRemainder | None:
         return None
     path = Path(source).with_name(POSTERIOR)
     stored = read_remainder(path) if path.is_file() else None
+    names = tuple(channel.name for channel in session.model.channels)
+    without = "changes are evaluated without the stored remainder"
     if stored is None:
         reason = f"{path}: has no remainder" if path.is_file() else f"{source}: no {POSTERIOR} in the same folder"
-        session.review.settled.append(
-            f"{reason}: changes are evaluated without the stored remainder; identify again from bags to store it"
-        )
-        return None
-    names = tuple(channel.name for channel in session.model.channels)
-    if (stored.joints, stored.channels) != (tuple(session.robot.joint_names), names):
-        session.review.settled.append(
-            f"{path}: its remainder is of {', '.join(stored.channels)}, here {', '.join(names)} are measured; changes "
-            "are evaluated without the stored remainder"
-        )
-        return None
-    return stored
+        note = f"{reason}: {without}; identify again from bags to store it"
+    elif (stored.joints, stored.channels) != (tuple(session.robot.joint_names), names):
+        measured = f"its remainder is of {', '.join(stored.channels)}, here {', '.join(names)} are measured"
+        note = f"{path}: {measured}; {without}"
+    else:
+        return stored
+    session.review.settled.append(note)
+    return None
 
 
 def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> KnownRemainder | None:
