@@ -339,8 +339,11 @@ class Configuration:
         return self.naming_source(f"wrench.{name}: ", lambda: WrenchSensor(**fields))
 
     def behind_gear(self, joints: Sequence[str]) -> frozenset[str]:
-        """Joints whose efforts are measured on the link side of the gear."""
+        """Joints whose efforts are measured on the link side of the gear. Raises InputError for a side of a joint that
+        is not one of the description's ``joints``."""
         sides = self._under("joint", ".effort_side")
+        if unknown := sides.keys() - joints:
+            raise InputError(f"{self.source}: {unknown_name('joint with an effort_side', min(unknown), joints)}")
         return frozenset(joint for joint in joints if sides.get(joint, self["effort_side"]) == "link")
 
     def signals(self, joints: Sequence[str]) -> SignalSettings:

@@ -67,7 +67,7 @@ class Setup:
             configuration["links"] or None,
             self.loaded.local_effects(effects),
             candidates=configuration.candidates,
-            link_side_joints=configuration.behind_gear(self.robot.joint_names),
+            link_side_joints=configuration.behind_gear([joint.name for joint in self.robot.tree.joints]),
             contacts=configuration.contacts,
             commanded=self.controller is not None,
         )
