@@ -84,6 +84,8 @@ def _check(options: ExportOptions) -> None:
     if tool not in (*CONTROLLERS, *DESCRIPTIONS):
         raise unknown_name("reader", tool, (*CONTROLLERS, *DESCRIPTIONS))
     check_into(tool, options.into)
+    if options.into is not None and options.frame:
+        raise InputError("into and frame exclude each other: a payload is printed alone; leave one out")
     if options.links is not None and options.without is not None:
         raise InputError("links and without exclude each other: a payload is either these links or a difference")
     if tool not in CONTROLLERS and not options.frame and is_payload:

@@ -108,8 +108,8 @@ class ExpectedDiscrimination:
         if self.is_sure:
             return f"{summary}; {DECIDED:g} decide"
         times = DECIDED / max(self.difference, 1e-9)
-        none = "no motion within these limits discriminates between them"
-        advice = f"record it {times:.0f} times" if times < _MANY else none
+        hopeless = "no motion within these limits discriminates between them"
+        advice = f"record it {times:.0f} times" if times < _MANY else hopeless
         return f"{summary}; {DECIDED:g} would decide: {advice}"
 
 
