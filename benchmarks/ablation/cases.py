@@ -109,8 +109,8 @@ def _measured() -> Iterator[Case]:
             recordings, configuration = robot.read()
             whole = [recordings[Path(bag).name] for bag in CASES[name].train]
             test = [recordings[Path(bag).name] for bag in CASES[name].validate]
-            train = whole if test else [split_held_out([each], HELD_OUT)[0][0] for each in whole]
-            test = test or [split_held_out([each], HELD_OUT)[0][1] for each in whole]
+            train = whole if test else [split_held_out(each, HELD_OUT)[0] for each in whole]
+            test = test or [split_held_out(each, HELD_OUT)[1] for each in whole]
 
             def run(
                 robot: Robot = robot, configuration: Configuration = configuration, parts: Any = (train, test)
@@ -135,7 +135,7 @@ class _Simulated:
     def read(urdf: str, bag: Path, candidates: bool) -> _Simulated:
         session = _session(urdf, candidates)
         whole = _samples(session, Kept(bag))
-        ((train, test),) = split_held_out([whole], HELD_OUT)
+        train, test = split_held_out(whole, HELD_OUT)
         true = json.loads(bag.with_name(f"{bag.name}.truth.json").read_text(encoding="utf-8"))
         return _Simulated(urdf, train, test, true, candidates)
 
@@ -219,7 +219,7 @@ def _read() -> Iterator[Case]:
                 whole = Samples.concatenate(list(read_samples(bag, session, pipeline, _TOPICS)))
                 session.pipeline.ledger.add(pipeline.ledger.topics)
                 sizes |= {f"{key} {place}": size for key, size in _sizes(whole).items()}
-                ((early, late),) = split_held_out([whole], HELD_OUT)
+                early, late = split_held_out(whole, HELD_OUT)
                 train, test = [*train, early], [*test, late]
             return {**sizes, **_accounts(session), "held out": _solve(session, train, test)[1]}
 
@@ -335,7 +335,7 @@ def _judged() -> Iterator[Case]:
         robot = Robot(CASES[name], candidates=False)
         recordings, configuration = robot.read()
         for bag, whole in recordings.items():
-            ((first, second),) = split_held_out([whole], 0.5)
+            first, second = split_held_out(whole, 0.5)
             for part, samples in (("", whole), (" 1st half", first), (" 2nd half", second)):
 
                 def run(robot: Robot = robot, given: Configuration = configuration, own: Samples = samples) -> Figures:
@@ -369,7 +369,7 @@ def _gaps() -> Iterator[Case]:
         stamps = [message.time for batch in bag.batches(list(bag.topics)) for message in batch][:100]
         cutoff = gap_cutoff(session, message_rate(stamps))
         samples = Samples.concatenate(list(read_samples(bag, session, gap_pipeline(session, cutoff), _TOPICS)))
-        ((train, test),) = split_held_out([samples], HELD_OUT)
+        train, test = split_held_out(samples, HELD_OUT)
         recordings = GapSamples(cutoff=cutoff, train=[train], held_out=[test])
 
         def run(urdf: str = urdf, recordings: GapSamples = recordings) -> Figures:

@@ -126,7 +126,7 @@ def _judge(own: DesignTask, case: Case, factor: float, folder: Path) -> Discrimi
     finding = {"effect": case.found, "joint": place(case.at), "parameters": parameters, "rivals": rivals}
     path = folder / "gap.json"
     path.write_text(json.dumps({"format": 1, "findings": [finding], "floor": {}}), encoding="utf-8")
-    return rival_effects(own.feasibility, path)[0]
+    return rival_effects(own.feasibility, path)
 
 
 def _score(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from math import nan
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -26,6 +26,7 @@ from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
 from geomid_ros.report.result_pages import ChannelErrors, ComparisonPage, write_comparison_page
 from geomid_ros.session.options import PathLike, paths
+from geomid_ros.session.session import Session
 
 _OWN = "the held-out data of its own recording"
 
@@ -109,18 +110,25 @@ def compare(options: CompareOptions) -> Comparison:
     _check_same_robot(sides, values)
     doubts = [f"{result.source}: {remark}" for result in results for remark in result.judgement.remarks]
     status = max(result.judgement.status for result in results)
-    errors, data = _joined([_own_errors(side) for side in sides]), _OWN
+    errors = [side.rms.held_out or side.rms.train if isinstance(side, EstimateFile) else {} for side in sides]
+    units = {row.channel: row.unit for result in results for row in result.channels}
     if options.bag:
-        residuals, reasons = zip(*(_errors_on_bags(side, options) for side in sides), strict=True)
-        errors, data = _joined(residuals), ", ".join(map(str, paths(options.bag)))
-        doubts += [sentence for each in reasons for sentence in each]
-        status = max(status, STATUS[DOUBTFUL if any(reasons) else USABLE])
+        predicted = [_errors_on_bags(side, options) for side in sides]
+        errors = [rms for _, rms in predicted]
+        units = {channel.name: channel.unit for session, _ in predicted for channel in session.model.channels}
+        reasons = [sentence for session, _ in predicted for sentence in reasons_for_doubt(session)]
+        doubts += reasons
+        status = max(status, STATUS[DOUBTFUL if reasons else USABLE])
+    before, after = errors
     return Comparison(
         first=str(first),
         second=str(second),
         compared=compare_robots(values[0], values[1]),
-        errors=errors,
-        judged_on=data,
+        errors=[
+            ChannelErrors(name=name, unit=units.get(name, ""), first=before.get(name, nan), second=after.get(name, nan))
+            for name in dict.fromkeys((*before, *after))
+        ],
+        judged_on=", ".join(map(str, paths(options.bag))) if options.bag else _OWN,
         doubts=list(dict.fromkeys(doubts)),
         notes=_notes_on(results, own_data=not options.bag),
         status=status,
@@ -188,40 +196,15 @@ def _notes_on(results: Sequence[EstimateFile], *, own_data: bool) -> list[str]:
     ]
 
 
-def _own_errors(side: _Side) -> dict[str, tuple[float, str]]:
-    """Return the residual RMS of a result on its held-out data, or its fitted data if none were held out, by channel,
-    with its unit."""
-    if not isinstance(side, EstimateFile):
-        return {}
-    units = {row.channel: row.unit for row in side.channels}
-    errors = side.rms.held_out or side.rms.train
-    return {name: (error, units.get(name, "")) for name, error in errors.items()}
-
-
-def _joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErrors]:
-    """Join the errors of both sides by channel."""
-    first, second = sides
-    missing = (math.nan, "")
-    return [
-        ChannelErrors(
-            name=name,
-            unit=(first.get(name) or second[name])[1],
-            first=first.get(name, missing)[0],
-            second=second.get(name, missing)[0],
-        )
-        for name in dict.fromkeys((*first, *second))
-    ]
-
-
-def _errors_on_bags(side: _Side, options: CompareOptions) -> tuple[dict[str, tuple[float, str]], list[str]]:
-    """Return the residual RMS of a side on the recordings by channel, with its unit, and reasons not to trust it."""
+def _errors_on_bags(side: _Side, options: CompareOptions) -> tuple[Session, dict[str, float]]:
+    """Return the session that read the recordings for a side, and the residual RMS of the side by channel."""
     if isinstance(side, EstimateFile):
         session, samples = read_test_samples(options, options.bag, model=side.source)
         parameters = session.known_parameters
     else:
-        names = list(dict.fromkeys(effect.effect for effect in side.effects))
-        session, samples = read_test_samples(replace(options, urdf=side.source), options.bag, effects=names)
+        effects = list(dict.fromkeys(effect.effect for effect in side.effects))
+        session, samples = read_test_samples(replace(options, urdf=side.source), options.bag, effects=effects)
         coefficients = coefficients_of(session.model, side.effects)  # the friction in the URDF
         parameters = np.concatenate([session.model.nominal_parameters[: -len(coefficients) or None], coefficients])
-    errors = zip(session.model.channels, session.rms(samples, parameters).tolist(), strict=True)
-    return {channel.name: (error, channel.unit) for channel, error in errors}, reasons_for_doubt(session)
+    names = [channel.name for channel in session.model.channels]
+    return session, dict(zip(names, session.rms(samples, parameters).tolist(), strict=True))

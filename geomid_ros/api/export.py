@@ -11,7 +11,7 @@ from typing import NamedTuple
 from geomid_ros.api.options import ExportOptions, SampleOptions
 from geomid_ros.api.robot import entries
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, described
+from geomid_ros.exports.descriptions import DESCRIPTIONS, described
 from geomid_ros.exports.formats import CONTROLLERS, JSON
 from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.exports.patch_mjcf import patch_user_mjcf
@@ -63,7 +63,10 @@ def export(options: ExportOptions) -> Exported:
         return Exported(CONTROLLERS[tool].commands(_payload(own, flange, options.links, reference)), (), doubts)
     if options.frame:
         return Exported(DESCRIPTIONS[tool].payload(_payload(own, options.frame, options.links, reference)), (), doubts)
-    result = _whole(own, options)
+    if options.into is not None:
+        result = patch_user_mjcf(own, Path(options.into))
+    else:
+        result = described(own, tool, each_link(own), options.package_path or {})
     return Exported(result.text, tuple(result.omissions), doubts)
 
 
@@ -79,16 +82,12 @@ def _check(options: ExportOptions) -> None:
     if tool not in (*CONTROLLERS, *DESCRIPTIONS):
         raise unknown_name("reader", tool, (*CONTROLLERS, *DESCRIPTIONS))
     check_into(tool, options.into)
+    if options.into is not None and options.frame:
+        raise InputError("into and frame exclude each other: a payload is printed alone; leave one out")
     if options.links is not None and options.without is not None:
         raise InputError("links and without exclude each other: a payload is either these links or a difference")
     if tool not in CONTROLLERS and not options.frame and is_payload:
         raise InputError("frame is missing: name the link in whose axes the payload is expressed")
-
-
-def _whole(model: ExportModel, options: ExportOptions) -> DescriptionFiles:
-    if options.into is not None:
-        return patch_user_mjcf(model, Path(options.into))
-    return described(model, options.tool, each_link(model), options.package_path or {})
 
 
 def _payload(model: ExportModel, frame: str, links: Texts | None, reference: ExportModel | None) -> Export:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from geomid_ros.api.options import FleetOptions
-from geomid_ros.api.robot import configuration, description, topics
+from geomid_ros.api.robot import check_command_efforts, configuration, description, topics
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import population_and_members
@@ -54,6 +54,7 @@ def identify_fleet(options: FleetOptions) -> FleetIdentification:
         InputError: a file, an argument or the cluster cannot be used; intermediate results are kept.
     """
     folder = Path(options.out)
+    parameters = check_command_efforts(options, configuration(options))
     every = find_bags(options.bags, options.by)
     if options.urdf is None:
         with on_this_disk(every[0].url) as path:
@@ -63,7 +64,7 @@ def identify_fleet(options: FleetOptions) -> FleetIdentification:
     plan = FleetPlan(
         description=described.text,
         source=described.source,
-        given=configuration(options).given_values,
+        given=parameters.given_values,
         topics=topics(options),
         hold_out=options.hold_out,
     )

@@ -101,23 +101,21 @@ class Gap:
     @property
     def document(self) -> dict[str, Any]:
         """All numbers, as in ``gap.json``."""
+        session, stamps = self.session, self.result.trace.stamps
         document = gap_document(self.result, {simulation.kind: simulation.errors for simulation in self.simulated})
-        session = self.session
-        stamps = self.result.trace.stamps
-        document |= page_entries(self.result, nominal_inertias(session)) | {
+        return {
+            **document,
+            **page_entries(self.result, nominal_inertias(session)),
             "robot": session.robot.name,
             "recordings": [path.name for path, _ in self.bags.held_out_fractions],
             "judged_seconds": float(elapsed(stamps)[-1]) if len(stamps) else 0.0,
             "known": to_document(session.loaded.effects),
             "not_simulated": self.not_simulated,
-        }
-        remarks = {
             "causes": causes_entry(session.review.findings),
             "warnings": session.review.warnings(),
             "notes": session.notes,
+            "handover": {self.reader: self.handover.entry} if self.handover else {},
         }
-        handover = {self.reader: self.handover.entry} if self.handover else {}
-        return document | remarks | {"handover": handover}
 
     def report(self, path: PathLike, *, progress: Progress = silent) -> Path:
         """Write one HTML page with all results and plots. The page needs no network.

@@ -61,8 +61,8 @@ class Identification:
         session: the robot, its model and its configuration.
         bags: the recordings.
         estimate: result of the solver.
-        held_out: the held-out samples, in batches; empty if nothing was held out.
-        judged: the samples that the result is tested on: ``held_out``, or the fitted samples if that is empty.
+        judged: the samples that the result is tested on, in batches: the held-out ones, or all fitted ones if nothing
+            was held out.
         reader: software that will read the robot description.
         command: topic of the joint set-points, to simulate the robot under them.
     """
@@ -70,10 +70,14 @@ class Identification:
     session: Session
     bags: Bags
     estimate: Estimate
-    held_out: Sequence[Samples]
     judged: Sequence[Samples]
     reader: str = URDF
     command: str | None = None
+
+    @property
+    def held_out(self) -> Sequence[Samples]:
+        """The held-out samples, in batches; empty if nothing was held out."""
+        return self.judged if self.bags.holds_out else ()
 
     @property
     def links(self) -> tuple[LinkEstimate, ...]:
@@ -89,7 +93,7 @@ class Identification:
     def rms(self) -> dict[str, float]:
         """Residual RMS of the estimate by channel [N m, N], on held-out data, or the fitted data if there are none.
         NaN for a channel that was not measured."""
-        return self._by_channel(self.estimate.rms if self.held_out_rms is None else self.held_out_rms)
+        return self._by_channel(self._rms_on_judged[:, 1])
 
     @property
     def warnings(self) -> list[str]:
@@ -125,21 +129,21 @@ class Identification:
             return self.judged
         return read_fitted(Session(*self.same_again), self.bags)
 
-    @cached_property
+    @property
     def rms_nominal(self) -> dict[str, float]:
         """Residual RMS of the URDF by channel [N m, N], with its inertias and no effects."""
-        if not self.held_out:
-            return self._by_channel(self.estimate.rms_nominal)
-        return self._by_channel(self._rms_on_held_out[:, 0])
+        return self._by_channel(self._rms_on_judged[:, 0])
 
-    @cached_property
+    @property
     def held_out_rms(self) -> FloatArray | None:
         """Residual RMS on held-out data ``(channels,)``; None if nothing was held out."""
-        return self._rms_on_held_out[:, 1] if self.held_out else None
+        return self._rms_on_judged[:, 1] if self.held_out else None
 
     @cached_property
-    def _rms_on_held_out(self) -> FloatArray:
+    def _rms_on_judged(self) -> FloatArray:
         """Residual RMS of the URDF and of the estimate ``(channels, 2)``."""
+        if not self.held_out:
+            return np.column_stack([self.estimate.rms_nominal, self.estimate.rms])
         parameters = np.column_stack([self.session.model.nominal_parameters, self.estimate.parameters])
         return self.session.rms(self.held_out, parameters)
 
@@ -341,30 +345,23 @@ def identify(options: IdentifyOptions) -> Identification:
     only_effects = options.effects is not None and options.candidates is None
     parameters = configuration(options, options.model, **({"candidates": []} if only_effects else {}))
     robot = description(options, recorded.fitted, options.model)
-
-    def solved(parameters: Configuration) -> tuple[Session, list[Samples], list[Samples], Estimate]:
-        make = partial(Session, readers=(*READERS,))
-        session, (held_out, tested) = robot.read(
-            make, parameters, lambda session: _read(session, recorded, options.progress)
-        )
+    make = partial(Session, readers=READERS)
+    for rounds_left in range(ROUNDS, -1, -1):
+        session, judged = robot.read(make, parameters, lambda session: _read(session, recorded, options.progress))
         session.review.check_description()
         options.progress("solving", 0.0)
-        return session, held_out, tested, session.identifier.solve()
-
-    session, held_out, tested, estimate = solved(parameters)
-    for _ in range(ROUNDS):
-        if (delay := _command_delay(estimate)) is None:
+        estimate = session.identifier.solve()
+        delay = _command_delay(estimate)
+        if delay is None or not rounds_left:
             break
         parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
-        session, held_out, tested, estimate = solved(parameters)
     if parameters[DELAY]:
         session.review.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
     return Identification(
         session=session,
         bags=recorded,
         estimate=estimate,
-        held_out=held_out,
-        judged=tested,
+        judged=judged,
         reader=with_same_files(options.reader),
         command=options.command,
     )
@@ -384,8 +381,8 @@ def _recording(share: float) -> str:
     return "recording, fitted" + (f" except the last {100.0 * share:.0f} %" if share > 0.0 else "")
 
 
-def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Samples], list[Samples]]:
-    """Return the held-out samples, and the samples to test on: the same, or all fitted ones if none are held out."""
+def _read(session: Session, bags: Bags, progress: Progress) -> list[Samples]:
+    """Return the samples to test on: the held-out ones, or all fitted ones if none are held out."""
     training, train = Training(session), list[Samples]()
 
     def fit(samples: Samples) -> None:
@@ -395,4 +392,4 @@ def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Sample
 
     held_out = read_bags(session, bags, fit, progress)
     training.end()
-    return held_out, held_out or train
+    return held_out if bags.holds_out else train

@@ -39,7 +39,6 @@ from geomid_ros.session.gap import rms_of_model
 from geomid_ros.session.options import PathLike, Paths, texts
 from geomid_ros.session.recordings import Bags, read_fitted
 from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,17 +131,13 @@ def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) ->
     residual_rms = rms_of_model(session, samples), session.rms(samples, nominal)
     errors = zip(channels, *(each.tolist() for each in residual_rms), strict=True)
     bodies = session.model.body_names
-    masses = [[*each, sum(each)] for each in (_masses(parameters, bodies), _masses(nominal, bodies))]
+    masses = [each[: 10 * len(bodies) : 10].tolist() for each in (parameters, nominal)]
+    with_total = zip([*bodies, TOTAL], *([*each, sum(each)] for each in masses), strict=True)
     return {
         "rms": {name: {"value": fit, "floor": floors.get(name, math.nan), "urdf": urdf} for name, fit, urdf in errors},
-        "mass": {name: {"value": fit, "urdf": urdf} for name, fit, urdf in zip([*bodies, TOTAL], *masses, strict=True)},
+        "mass": {name: {"value": fit, "urdf": urdf} for name, fit, urdf in with_total},
         "from_data": {link.name: {"value": link.from_data} for link in file.links},
     }
-
-
-def _masses(parameters: FloatArray, bodies: Sequence[str]) -> list[float]:
-    masses: list[float] = parameters[: 10 * len(bodies) : 10].tolist()
-    return masses
 
 
 TOTAL = "total"

@@ -99,8 +99,7 @@ def _warnings(result: ShapePrior, tree: UrdfTree) -> Iterator[str]:
     if not _LIGHTEST <= result.density <= _HEAVIEST:
         yield (
             f"a density of {result.density:.3g} kg/m³ is out of range for a machine. Check the mass, the units of the "
-            f"meshes "
-            "(metres; attribute scale), and whether all shapes belong to the robot (else --keep their links)"
+            "meshes (metres; attribute scale), and whether all shapes belong to the robot (else --keep their links)"
         )
     impossible = [link.name for link in result.links if link.parameters is None and link.verdict == IMPOSSIBLE]
     if impossible:

@@ -176,7 +176,8 @@ def show_gap(found: geomid_ros.Gap) -> None:
     for sentence in (*gap_words.common_effects(result), *_sentences(result)):
         say(console, "", sentence)
     console.print(_gaps_table(result))
-    _print_file(console, found.handover)
+    if found.handover is not None:
+        _print_file(console, found.handover)
     for simulation in found.simulated:
         console.print(_simulated_table(simulation))
     if found.not_simulated:
@@ -190,10 +191,8 @@ def show_gap(found: geomid_ros.Gap) -> None:
             say(console, "", f"- {motion}")
 
 
-def _print_file(console: Console, file: FileTest | None) -> None:
+def _print_file(console: Console, file: FileTest) -> None:
     """Print the prediction error of the written description, and the channels where the given one is better."""
-    if file is None:
-        return
     say(console, "", file.sentence)
     for sentence in file.worse:
         say(console, "DOUBTFUL", f"  {sentence}")

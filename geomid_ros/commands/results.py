@@ -24,7 +24,7 @@ from geomid_ros.api.options import (
 )
 from geomid_ros.commands.options import OUT, PATH, Output, options_of
 from geomid_ros.commands.terminal import plain_table, print_remarks, print_verdict, progress_bar, results_console, say
-from geomid_ros.errors import one_line
+from geomid_ros.errors import InputError, one_line
 from geomid_ros.exports.formats import CONTROLLERS, JSON
 from geomid_ros.files.models.readers import DESCRIBED_FOR
 
@@ -266,6 +266,8 @@ def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **
     Prints mass, centre of mass and inertia in the axes of the flange, with the 95 % interval of the mass.
     """
 
+    if as_json and controller:
+        raise InputError("--json and --for exclude each other: the commands are no JSON; leave one out")
     with progress_bar() as progress:
         result = geomid_ros.weigh_payload(empty, loaded, progress=progress, **options)
     if as_json:

@@ -89,10 +89,11 @@ class RevocableBuffer:
         """Leave out the rows of ``channels`` from sample number ``begin`` on, including future ones.
 
         Returns False if they were left out before for this reason."""
-        same = [span for span in self._left_out if span.reason == reason and span.end == np.inf]
-        others = [span for span in self._left_out if span not in same]
-        begin = min([begin, *(span.begin for span in same)])
-        return self._change([*others, _Exclusion(reason, tuple(channels), begin)])
+        exclusion = _Exclusion(reason, tuple(channels), begin)
+        same = [span for span in self._left_out if replace(span, begin=begin) == exclusion]
+        if any(span.begin <= begin for span in same):
+            return False
+        return self._change([*(span for span in self._left_out if span not in same), exclusion])
 
     def restore_rows(self, reason: str, begin: int) -> bool:
         """Use the rows left out for this reason again, from sample number ``begin`` on; False if there are none."""

@@ -74,6 +74,7 @@ class Payload:
             "cannot_tell": list(weighed.cannot_tell),
             "rms": weighed.rms,
             "warnings": list(weighed.warnings),
+            "notes": list(weighed.notes),
             "verdict": verdict_entry(weighed.verdict, weighed.findings),
         }
 
@@ -102,6 +103,10 @@ def identify_payload_at(
         InputError: the frame is unknown or fixed to no moving link, or nothing was measured.
     """
     link = session.robot.carrier(frame) if frame else session.model.body_names[-1]
+    if not frame:
+        session.review.settled.append(
+            f"no --frame (payload.frame) is given: the payload is identified at '{link}', the last moving link"
+        )
     weighed = identify_payload(session, empty, loaded, link, gain)
     placed = Summand(weighed, session.robot.fixed_placement(link, frame or link))
     return Payload(frame=frame or link, weighed=weighed, inertial=total([placed], f"the payload at '{frame or link}'"))

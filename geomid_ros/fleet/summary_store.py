@@ -136,7 +136,7 @@ class BagSummary:
         return BagSummary(
             fitted=Memory(rows, self.fitted.rows_rejected + later.fitted.rows_rejected, None, None),
             held_out=self.held_out.plus(later.held_out),
-            recorded=RecordingFacts.combined([self.recorded, later.recorded]),
+            recorded=self.recorded.plus(later.recorded),
             locked=self.locked,
             begin=self.begin,
             end=max(self.end, later.end),

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.shapes import SUFFIXES, ShapeReader, read_mesh
@@ -63,12 +62,8 @@ def link_shapes(urdf: str, path: Path, packages: Mapping[str, Path]) -> dict[str
         InputError: a mesh cannot be read, or no link has a shape.
     """
     reader = ShapeReader(path, packages)
-    hulls = {}
-    for link in read_xml(urdf, str(path)).findall("link"):
-        name = link.get("name", "")
-        outlines = reader.outlines(link)
-        if outlines:
-            hulls[name] = [ConvexShape(name, vertices) for vertices in outlines]
+    outlines = {link.get("name", ""): reader.outlines(link) for link in read_xml(urdf, str(path)).findall("link")}
+    hulls = {name: [ConvexShape(name, vertices) for vertices in shapes] for name, shapes in outlines.items() if shapes}
     if not hulls:
         raise InputError(
             f"{path}: no link has a <collision> or <visual> shape to check for collisions; add shapes, or "
@@ -100,12 +95,8 @@ def obstacles(text: str) -> list[Obstacle]:
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"--avoid {text}: expected {_FORMS}")
     mesh, _ = read_mesh(path, f"--avoid {text}")
-    return [ConvexShape(text, np.asarray(part.vertices)) for part in _parts(mesh)]
-
-
-def _parts(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    parts = mesh.split(only_watertight=True)
-    return list(parts) or [mesh]
+    parts = list(mesh.split(only_watertight=True)) or [mesh]
+    return [ConvexShape(text, np.asarray(part.vertices)) for part in parts]
 
 
 def _numbers(text: str, count: int, obstacle: str) -> np.ndarray:

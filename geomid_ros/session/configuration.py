@@ -225,7 +225,7 @@ class Configuration:
         return dict(self._values)
 
     def _checked(self, name: str, value: Any) -> Value:
-        parameter = self._naming_source("", lambda: find_parameter(name))
+        parameter = self.naming_source("", lambda: find_parameter(name))
         default = parameter.default
         if isinstance(default, float):
             value = _real(value)
@@ -276,7 +276,8 @@ class Configuration:
     @property
     def effects(self) -> list[IdentifiedEffect]:
         """Effects to identify everywhere, with the effects that they include."""
-        return list(dict.fromkeys(part for effect in self._named("effects") for part in _parts(effect)))
+        parts = dict.fromkeys(part for effect in self._named("effects") for part in effect.parts)
+        return [part for part in parts if isinstance(part, IdentifiedEffect)]
 
     @property
     def candidates(self) -> list[IdentifiedEffect]:
@@ -286,9 +287,9 @@ class Configuration:
         return [effect for effect in trials if isinstance(effect, IdentifiedEffect) and effect not in self.effects]
 
     def _named(self, key: str) -> list[IdentifiedEffect]:
-        return [self._naming_source(f"{key}: ", partial(identified_effect, name)) for name in dict.fromkeys(self[key])]
+        return [self.naming_source(f"{key}: ", partial(identified_effect, name)) for name in dict.fromkeys(self[key])]
 
-    def _naming_source(self, key: str, make: Callable[[], T]) -> T:
+    def naming_source(self, key: str, make: Callable[[], T]) -> T:
         """Return the result of ``make``, whose error then names this source and the ``key``."""
         try:
             return make()
@@ -314,13 +315,13 @@ class Configuration:
             raise InputError(
                 f"{self.source}: contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose"
             )
-        return [self._naming_source("", partial(Contact.parse, text)) for text in self["contacts"]]
+        return [self.naming_source("", partial(Contact.parse, text)) for text in self["contacts"]]
 
     @property
     def gains(self) -> dict[str, Gains]:
         """Gains by joint, those of all other joints under an empty name; none if efforts are measured."""
         pairs = (entry.rpartition("=") for entry in self["command.gains"])
-        return {joint: self._naming_source("command.gains: ", partial(Gains.parse, text)) for joint, _, text in pairs}
+        return {joint: self.naming_source("command.gains: ", partial(Gains.parse, text)) for joint, _, text in pairs}
 
     @property
     def sensors(self) -> list[WrenchSensor]:
@@ -335,11 +336,14 @@ class Configuration:
         if not fields["frame"]:
             raise InputError(f"{self.source}: wrench.{name}.frame is not given")
         fields |= {"topic": fields["topic"] or name, "axes": tuple(fields["axes"])}
-        return self._naming_source(f"wrench.{name}: ", lambda: WrenchSensor(**fields))
+        return self.naming_source(f"wrench.{name}: ", lambda: WrenchSensor(**fields))
 
     def behind_gear(self, joints: Sequence[str]) -> frozenset[str]:
-        """Joints whose efforts are measured on the link side of the gear."""
+        """Joints whose efforts are measured on the link side of the gear. Raises InputError for a side of a joint that
+        is not one of the description's ``joints``."""
         sides = self._under("joint", ".effort_side")
+        if unknown := sides.keys() - joints:
+            raise InputError(f"{self.source}: {unknown_name('joint with an effort_side', min(unknown), joints)}")
         return frozenset(joint for joint in joints if sides.get(joint, self["effort_side"]) == "link")
 
     def signals(self, joints: Sequence[str]) -> SignalSettings:
@@ -347,7 +351,7 @@ class Configuration:
         by_joint = self._under("joint", ".effort_gain")
         common = self["effort_gain"]
         gains = {joint: by_joint.get(joint, common) for joint in joints} | by_joint
-        return self._naming_source(
+        return self.naming_source(
             "",
             lambda: SignalSettings(
                 cutoff=self["filter.cutoff"],
@@ -369,7 +373,7 @@ class Configuration:
         return self._estimator(sigma)
 
     def _estimator(self, sigma: dict[str, float]) -> EstimatorSettings:
-        return self._naming_source(
+        return self.naming_source(
             "",
             lambda: EstimatorSettings(
                 self["gamma"] or None,
@@ -384,10 +388,6 @@ class Configuration:
     @property
     def buffer(self) -> BufferSettings:
         """Settings of the row buffer."""
-        return self._naming_source(
+        return self.naming_source(
             "", lambda: BufferSettings(self["still_speed"], self["still_distance"], self["forgetting_time"] or np.inf)
         )
-
-
-def _parts(effect: IdentifiedEffect) -> list[IdentifiedEffect]:
-    return [part for part in effect.parts if isinstance(part, IdentifiedEffect)]

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.excitation.belief import (
     PREDICTION,
     Belief,
@@ -42,7 +43,7 @@ from geomid_ros.files.parameter_file import read_joint_limits
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.collision import CollisionModel, Pair
-from geomid_ros.model.effects import Effect, KnownEffect, OnLink, Place, effect_class, values_of
+from geomid_ros.model.effects import Effect, OnLink, Place, effect_class, values_of
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.session.collision_scene import (
     COLLISIONS_NOT_CHECKED,
@@ -53,7 +54,7 @@ from geomid_ros.session.collision_scene import (
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import MotionOptions
 from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray, frozen
+from geomid_ros.types import frozen
 
 RATE = 100.0
 """Rate of the points of a trajectory [Hz]."""
@@ -107,11 +108,8 @@ class ExpectedDiscrimination:
         if self.is_sure:
             return f"{summary}; {DECIDED:g} decide"
         times = DECIDED / max(self.difference, 1e-9)
-        advice = (
-            f"record it {times:.0f} times"
-            if times < _MANY
-            else "no motion within these limits discriminates between them"
-        )
+        hopeless = "no motion within these limits discriminates between them"
+        advice = f"record it {times:.0f} times" if times < _MANY else hopeless
         return f"{summary}; {DECIDED:g} would decide: {advice}"
 
 
@@ -163,20 +161,22 @@ def design_task(urdf: str, source: Path, configuration: Configuration, options: 
     Raises:
         InputError: something is missing, or no start is feasible.
     """
-    if earlier := str(configuration["model"]):
-        posterior_path(
-            Path(earlier)
-        )  # a gap's estimate has none; its identified.urdf has links that were not identified
+    earlier = str(configuration["model"])
+    # A gap's estimate has no posterior; its identified.urdf has links that were not identified.
+    posterior = read_posterior(posterior_path(Path(earlier))) if earlier else None
     session = Session(urdf, configuration, str(source))
-    robot, model = session.robot, _model_of(session)
+    robot, model = session.robot, _model_of(session, posterior)
     if robot.floating_base or not model.layout.efforts:
         raise InputError("motions are designed for arms on a fixed base whose joint efforts can be predicted")
     given = read_joint_limits(Path(options.limits), robot.joint_names) if options.limits else {}
     inertias = np.array([body.parameters for body in robot.bodies])
     limits = motion_limits(robot, given, inertias, options.speed, str(source))
-    knowledge = _knowledge(session, model, limits)
+    belief = belief_from_urdf(model, limits)
+    if posterior is not None:
+        sigmas = _sigmas(belief, EstimateFile.read(Path(earlier)).sigma)
+        belief = belief_from_estimate(model, posterior, sigmas, earlier)
     collision = collision_model(options, robot, source)
-    feasibility, unwatched = _feasibility(knowledge, limits, collision, options)
+    feasibility, unwatched = _feasibility(belief, limits, collision, options)
     notes = [
         *limits.notes,
         "" if collision else COLLISIONS_NOT_CHECKED,
@@ -187,49 +187,39 @@ def design_task(urdf: str, source: Path, configuration: Configuration, options: 
     form = MotionForm(period=options.duration / options.repeats, slow_fraction=slow, repeats=options.repeats)
     return DesignTask(
         feasibility=feasibility,
-        belief=knowledge,
+        belief=belief,
         form=form,
         excluded_pairs=unwatched,
         notes=tuple(filter(None, notes)),
     )
 
 
-def _model_of(session: Session) -> MeasurementModel:
+def _model_of(session: Session, posterior: Posterior | None) -> MeasurementModel:
     """The session's model with the effects of an earlier estimate, or else with the effects that every place has."""
     model = session.model
-    if session.loaded.source:
-        posterior = read_posterior(posterior_path(Path(session.loaded.source)))
-        identified = {(effect.name, effect.place, effect.parameter, effect.positive) for effect in posterior.effects}
-        in_shape = session.loaded.shape_mask(model)
-        chosen = [
-            index
-            for index, (c, is_in_shape) in enumerate(zip(model.coefficients, in_shape.tolist(), strict=True))
-            if is_in_shape and (c.effect.name, c.place_name, c.parameter, c.positive) in identified
-        ]
-        return model.with_coefficients(chosen)
-    return model.with_coefficients([index for index, c in enumerate(model.coefficients) if not c.optional])
-
-
-def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) -> Belief:
-    prior = belief_from_urdf(model, limits)
-    if not session.loaded.source:
-        return prior
-    measured = EstimateFile.read(Path(session.loaded.source)).sigma
-    sigmas = [measured.get(channel.name) for channel in model.channels]
-    known_sigmas = [
-        sigma if sigma and math.isfinite(sigma) else default
-        for sigma, default in zip(sigmas, prior.sigmas.tolist(), strict=True)
+    if posterior is None:
+        return model.with_coefficients([index for index, c in enumerate(model.coefficients) if not c.optional])
+    identified = {(effect.name, effect.place, effect.parameter, effect.positive) for effect in posterior.effects}
+    in_shape = session.loaded.shape_mask(model).tolist()
+    chosen = [
+        index
+        for index, (c, is_in_shape) in enumerate(zip(model.coefficients, in_shape, strict=True))
+        if is_in_shape and (c.effect.name, c.place_name, c.parameter, c.positive) in identified
     ]
-    return belief_from_estimate(
-        model, read_posterior(posterior_path(Path(session.loaded.source))), known_sigmas, session.loaded.source
-    )
+    return model.with_coefficients(chosen)
+
+
+def _sigmas(belief: Belief, measured: Mapping[str, float]) -> list[float]:
+    """Standard deviations of the channels' noise: the ``measured`` ones, or else the belief's."""
+    sigmas = zip(belief.model.channels, belief.sigmas.tolist(), strict=True)
+    return [s if (s := measured.get(c.name)) and math.isfinite(s) else default for c, default in sigmas]
 
 
 def _feasibility(
-    knowledge: Belief, limits: MotionLimits, collision: CollisionModel | None, wish: MotionOptions
+    belief: Belief, limits: MotionLimits, collision: CollisionModel | None, wish: MotionOptions
 ) -> tuple[Feasibility, tuple[Pair, ...]]:
     """Feasibility from the first feasible start, and the pairs that are not watched."""
-    names = knowledge.model.robot.joint_names
+    names = belief.model.robot.joint_names
     if len(wish.start) not in (0, len(names)):
         raise InputError(
             f"--start has {len(wish.start)} numbers, expected {len(names)}: those of {', '.join(names)} [rad, m]"
@@ -239,28 +229,21 @@ def _feasibility(
     errors = []
     for start in candidates:
         try:
-            return Feasibility(knowledge, limits, start, collision, wish.clearance), unwatched
+            return Feasibility(belief, limits, start, collision, wish.clearance), unwatched
         except InputError as error:
             errors.append(error)
     if wish.start:
         raise errors[0]
-    raise InputError(_no_start(errors, room=bool(wish.avoid)))
-
-
-def _no_start(errors: Sequence[InputError], *, room: bool) -> str:
-    """Reason why no start is feasible, and a remedy. ``room``: obstacles may leave too little room."""
     reason = f"no feasible start was found among {len(errors)} postures; the first one: {errors[0]}"
-    if not room:
-        return reason
-    return f"{reason}, or make room: --avoid is in metres in the base frame, each part of a mesh is its convex hull"
+    if wish.avoid:
+        reason += ", or make room: --avoid is in metres in the base frame, each part of a mesh is its convex hull"
+    raise InputError(reason)
 
 
 def design(task: DesignTask, options: MotionOptions) -> Excitation:
     """Search for a motion, and predict its benefit."""
     random, feasibility = np.random.default_rng(options.seed), task.feasibility
-    discrimination, labels = (
-        (None, []) if options.discriminate is None else rival_effects(task.feasibility, Path(options.discriminate))
-    )
+    discrimination = rival_effects(feasibility, Path(options.discriminate)) if options.discriminate else None
     others = typical_motions(feasibility, task.form, random, _OTHERS)
     weight = aim_weight(options.aim, task.belief, others)
     criterion = expected_error(feasibility, weight, task.form)
@@ -272,7 +255,7 @@ def design(task: DesignTask, options: MotionOptions) -> Excitation:
     options.progress("comparing", 0.0)
     randoms = [random_feasible(feasibility, task.form, random) for _ in range(_COMPARED)]
     learning = expected_learning(task.belief, weight, motion, randoms)
-    decisions = () if discrimination is None else tuple(_decisions(discrimination, labels, motion, randoms))
+    decisions = () if discrimination is None else tuple(_decisions(discrimination, motion, randoms))
     return Excitation(
         task=task,
         error=error_description(options.aim),
@@ -284,35 +267,26 @@ def design(task: DesignTask, options: MotionOptions) -> Excitation:
 
 
 def _decisions(
-    discrimination: DiscriminationCriterion,
-    labels: Sequence[tuple[str, Sequence[str]]],
-    motion: ExcitingMotion,
-    randoms: Sequence[ExcitingMotion],
+    discrimination: DiscriminationCriterion, motion: ExcitingMotion, randoms: Sequence[ExcitingMotion]
 ) -> Iterator[ExpectedDiscrimination]:
     designed, others = discrimination.differences(motion), [discrimination.differences(random) for random in randoms]
-    for place, (finding, rivals) in enumerate(labels):
-        for index, rival in enumerate(rivals):
-            yield ExpectedDiscrimination(
-                finding, rival, designed[place][index], float(np.median([o[place][index] for o in others]))
-            )
+    for i, ambiguity in enumerate(discrimination.ambiguities):
+        for j, rival in enumerate(ambiguity.rivals):
+            random = float(np.median([other[i][j] for other in others]))
+            yield ExpectedDiscrimination(ambiguity.found.label, rival.label, designed[i][j], random)
 
 
-def rival_effects(feasibility: Feasibility, path: Path) -> tuple[DiscriminationCriterion, list[tuple[str, list[str]]]]:
-    """Criterion of how well a motion discriminates between rivals; and labels of each finding and its rivals.
+def rival_effects(feasibility: Feasibility, path: Path) -> DiscriminationCriterion:
+    """Criterion of how well a motion discriminates between the rivals in a gap.json.
 
-    Raises InputError naming the ``path`` of the gap.json, and the entry that does not fit the robot.
+    Raises InputError naming its ``path``, and the entry that does not fit the robot.
     """
     findings, floor = read_open_findings(path)
-    before = feasibility.belief
-    model = before.model.without_effects()
+    model = feasibility.belief.model.without_effects()
     _refuse_other_robot(model, floor, path)
-    knowledge = belief_from_urdf(model, feasibility.limits)
-    names = [channel.name for channel in model.channels]
-    sigmas = [floor.get(name) or default for name, default in zip(names, knowledge.sigmas.tolist(), strict=True)]
-    knowledge = replace(knowledge, sigmas=frozen(sigmas))
-    disputes = [_ambiguity(model, finding) for finding in findings]
-    labels = [(dispute.found.label, [rival.label for rival in dispute.rivals]) for dispute in disputes]
-    return DiscriminationCriterion(knowledge, disputes), labels
+    belief = belief_from_urdf(model, feasibility.limits)
+    belief = replace(belief, sigmas=frozen(_sigmas(belief, floor)))
+    return DiscriminationCriterion(belief, [_ambiguity(model, finding) for finding in findings])
 
 
 def _refuse_other_robot(model: MeasurementModel, floor: Mapping[str, float], path: Path) -> None:
@@ -323,19 +297,18 @@ def _refuse_other_robot(model: MeasurementModel, floor: Mapping[str, float], pat
             raise InputError(f"{path}: was written for another robot: {unknown_name('joint', name, joints)}")
 
 
-def _ambiguity(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
-    name = _name_of_finding(model, entry)
-    rivals = [_any(model, rival.effect, rival.joint) for rival in entry.rivals]
-    return Ambiguity(name, _coefficients(entry, name), tuple(rivals))
-
-
-def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> NamedEffect:
-    """The found effect with its variants; the one with the constants that were found comes first."""
-    any_of = _any(model, finding.effect, finding.joint, finding.link)
-    if isinstance(any_of.place, OnLink):
-        return any_of
-    chosen = effect_class(finding.effect).from_values(values_of(finding))
-    return replace(any_of, variants=(chosen, *(variant for variant in any_of.variants if variant != chosen)))
+def _ambiguity(model: MeasurementModel, finding: OpenFinding) -> Ambiguity:
+    """The found effect, first of its variants the one with the constants that were found; and its rivals."""
+    found, values = _any(model, finding.effect, finding.joint, finding.link), values_of(finding)
+    if isinstance(found.place, OnLink):
+        coefficients = payload_parameters(values)
+    else:
+        cls = effect_class(finding.effect)
+        chosen = cls.from_values(values)
+        found = replace(found, variants=(chosen, *(variant for variant in found.variants if variant != chosen)))
+        coefficients = coefficients_of(cls, values, chosen.parts)
+    rivals = tuple(_any(model, rival.effect, rival.joint) for rival in finding.rivals)
+    return Ambiguity(found, coefficients, rivals)
 
 
 def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> NamedEffect:
@@ -353,10 +326,3 @@ def _parameter_count(effect: Effect, place: Place) -> float:
     """Number of parameters that an effect counts for; for a payload, those that sentences state, without inertia."""
     terms = Candidate.of(effect, place).terms
     return float(len(terms) + bool(effect.grid_value)) if terms else float(effect.stated_parameter_count or 0)
-
-
-def _coefficients(finding: KnownEffect, name: NamedEffect) -> FloatArray:
-    values = values_of(finding)
-    if isinstance(name.place, OnLink):
-        return payload_parameters(values)
-    return coefficients_of(effect_class(finding.effect), values, name.variants[0].parts)

@@ -38,7 +38,6 @@ from geomid_ros.session.training import check_measured
 from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
-from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.unitree import LOW_STATE
 from geomid_ros.types import FloatArray
 
@@ -110,11 +109,7 @@ def gap_cutoff(session: Session, rate: float) -> float:
 
 def gap_pipeline(session: Session, cutoff: float) -> SignalPipeline:
     """Create a pipeline with a low-pass of ``cutoff`` [Hz] that makes samples for the gap workflow."""
-    return session.new_pipeline(_filtered_at(session, cutoff), library_columns(session.model))
-
-
-def _filtered_at(session: Session, cutoff: float) -> SignalSettings:
-    return replace(session.configuration.signals(session.robot.joint_names), cutoff=cutoff)
+    return session.new_pipeline(cutoff, library_columns(session.model))
 
 
 def find_gap_in_samples(
@@ -198,20 +193,18 @@ def known_remainder_of(session: Session) -> KnownRemainder | None:
         return None
     path = Path(source).with_name(POSTERIOR)
     stored = read_remainder(path) if path.is_file() else None
+    names = tuple(channel.name for channel in session.model.channels)
+    without = "changes are evaluated without the stored remainder"
     if stored is None:
         reason = f"{path}: has no remainder" if path.is_file() else f"{source}: no {POSTERIOR} in the same folder"
-        session.review.settled.append(
-            f"{reason}: changes are evaluated without the stored remainder; identify again from bags to store it"
-        )
-        return None
-    names = tuple(channel.name for channel in session.model.channels)
-    if (stored.joints, stored.channels) != (tuple(session.robot.joint_names), names):
-        session.review.settled.append(
-            f"{path}: its remainder is of {', '.join(stored.channels)}, here {', '.join(names)} are measured; changes "
-            "are evaluated without the stored remainder"
-        )
-        return None
-    return stored
+        note = f"{reason}: {without}; identify again from bags to store it"
+    elif (stored.joints, stored.channels) != (tuple(session.robot.joint_names), names):
+        measured = f"its remainder is of {', '.join(stored.channels)}, here {', '.join(names)} are measured"
+        note = f"{path}: {measured}; {without}"
+    else:
+        return stored
+    session.review.settled.append(note)
+    return None
 
 
 def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> KnownRemainder | None:
@@ -245,7 +238,7 @@ def find_in_messages(
     cutoff, samples = _samples_of(session, messages, progress)
     session.review.check.add(samples)
     session.review.judge()
-    ((train, held_out),) = split_held_out([samples], HELD_OUT)
+    train, held_out = split_held_out(samples, HELD_OUT)
     return find_gap_in_samples(
         session, GapSamples(cutoff=cutoff, train=[train], held_out=[held_out]), known_remainder, progress
     )
@@ -306,7 +299,7 @@ class GapReader:
         self.session.review.judge()
         for pair in zip(simulated, twins, fitted, recorded, strict=False):
             _check_twin(self.session, *pair)
-        parts = [part for samples in recorded for part in split_held_out([samples], self.bags.held_out_fraction)]
+        parts = [split_held_out(samples, self.bags.held_out_fraction) for samples in recorded]
         train, held_out = [early for early, _ in parts], [late for _, late in parts]
         held_out += [self._whole(path, cutoff) for path in validate]
         check_measured(self.session, train, fitted)
@@ -326,9 +319,9 @@ class GapReader:
         session, cutoff = self.session, gap_cutoff(self.session, self._rate(self.bags.fitted))
         # Effects in addition to the model's coefficients need columns of the library.
         columns = library_columns(session.model) if session.loaded.situational_effects else session.model.columns
-        pipelines = [session.new_pipeline(_filtered_at(session, cutoff), columns) for _ in self.bags.fitted]
+        pipelines = [session.new_pipeline(cutoff, columns) for _ in self.bags.fitted]
         recorded = map(self._samples, self.bags.fitted, pipelines)
-        return cutoff, [split_held_out([samples], self.bags.held_out_fraction)[0][0] for samples in recorded]
+        return cutoff, [split_held_out(samples, self.bags.held_out_fraction)[0] for samples in recorded]
 
     def high_cutoff_samples(self, topic: str = "") -> list[Samples]:
         """Read the samples to evaluate on, one element per bag, with the highest cutoff that the rate allows.
@@ -341,8 +334,7 @@ class GapReader:
         return [self._late(path, share, cutoff, topic) for path, share in shares]
 
     def _late(self, path: Path, share: float, cutoff: float, topic: str) -> Samples:
-        pipeline = self.session.new_pipeline(_filtered_at(self.session, cutoff))
-        ((_, late),) = split_held_out([self._samples(path, pipeline, topic)], share)
+        _, late = split_held_out(self._samples(path, self.session.new_pipeline(cutoff), topic), share)
         return Samples.concatenate([late])  # a copy, so that the whole recording is not kept in memory
 
     def _whole(self, path: Path, cutoff: float) -> Samples:

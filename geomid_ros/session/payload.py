@@ -120,14 +120,15 @@ def identify_payload(
         raise InputError(f"link '{link}' cannot carry a payload: the links that are identified are {model.body_names}")
     carrying = model.with_payload(link)
     first = 10 * len(model.identified)
+    payload = slice(first, first + 10)
     settings = session.configuration.estimator([channel.name for channel in model.channels])
     identifier = Identifier(carrying, settings, session.configuration.buffer)
     for samples in () if isinstance(empty, Posterior) else empty:
-        identifier.add(samples, slice(first, first + 10))
+        identifier.add(samples, payload)
     for samples in loaded:
         identifier.add(samples)
     prior, known = np.full(carrying.dimension, np.nan), None
-    prior[first : first + 10] = default_payload(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
+    prior[payload] = default_payload(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
     if isinstance(empty, Posterior):
         order, (rows, targets) = places_in(empty, carrying), empty.evidence
         prior = np.where(order >= 0, empty.prior[order], prior)
@@ -138,7 +139,7 @@ def identify_payload(
     fit = solve(summary)
     with_gains = [
         solve(rescaled, warm=WarmStart(fit.parameters, spreads=fit.prior_stds))
-        for rescaled in _with_gain(summary, fit, gain, slice(first, first + 10))
+        for rescaled in _with_gain(summary, fit, gain, payload)
     ]
     return _payload(link, fit, gain, with_gains, session)
 
@@ -157,10 +158,8 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
     body, posterior = fit.links[-1], fit.posterior
     moments = posterior.manifold.link(len(fit.links) - 1).start + np.arange(1, 4)
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
-    values, bodies = (
-        quantities_and_moments(body.parameters),
-        [quantities_and_moments(other.links[-1].parameters) for other in shifted],
-    )
+    values = quantities_and_moments(body.parameters)
+    bodies = [quantities_and_moments(other.links[-1].parameters) for other in shifted]
     systematic = _gain_std(np.array(bodies).reshape(-1, len(values)) - values)
     if link == session.robot.tree.root:  # elsewhere its moments distinguish a payload from the whole robot's mass
         robot = sum(other.mass for other in fit.links[:-1])

@@ -122,18 +122,10 @@ def recorded_description(bags: Sequence[Path]) -> tuple[str, str]:
     raise InputError(f"{names}: no robot description is recorded ({_DESCRIPTION}, {_TEXT}); name a file with --urdf")
 
 
-def split_held_out(batches: Sequence[Samples], share: float) -> list[tuple[Samples, Samples]]:
-    """Divide one recording into data to fit and held-out data.
-
-    Args:
-        batches: its samples in the order of time, in one piece or in several.
-        share: fraction of its time, at the end, that is held out, 0 to 1.
-
-    Returns:
-        For each piece, the samples before and after the boundary; either may be empty.
-    """
-    boundary = _boundary(batches[0], batches[-1], share)
-    return [_divided(samples, boundary) for samples in batches]
+def split_held_out(samples: Samples, share: float) -> tuple[Samples, Samples]:
+    """Divide a recording into samples to fit and held-out ones, either of which may be empty. ``share``: fraction of
+    its time, at the end, that is held out, 0 to 1."""
+    return _divided(samples, _boundary(samples, samples, share))
 
 
 def _boundary(first: Samples, last: Samples, share: float) -> int:
@@ -175,13 +167,14 @@ def read_bags(
         pipeline = session.new_pipeline()
         kept: deque[Samples] = deque()
         boundary, first = 0, None
-        for samples in _opened(path, session, pipeline, bags.topics, progress):
-            session.review.check.add(samples)
-            first = first or samples.select(slice(1))
-            boundary = max(boundary, _boundary(first, samples, bags.held_out_fraction))
-            kept.append(samples)
-            while kept and kept[0].stamps[-1] < boundary:
-                fitted.add(kept.popleft())
+        with Bag(path) as bag:
+            for samples in read_samples(bag, session, pipeline, bags.topics, progress):
+                session.review.check.add(samples)
+                first = first or samples.select(slice(1))
+                boundary = max(boundary, _boundary(first, samples, bags.held_out_fraction))
+                kept.append(samples)
+                while kept and kept[0].stamps[-1] < boundary:
+                    fitted.add(kept.popleft())
         session.pipeline.ledger.add(pipeline.ledger.topics)
         for samples in kept:
             early, late = _divided(samples, boundary)
@@ -192,21 +185,15 @@ def read_bags(
     session.review.findings += fitted.standstill_findings()
     for path in bags.validate:
         pipeline, check = session.new_pipeline(), session.review.new_check()
-        for samples in _opened(path, session, pipeline, bags.topics, progress):
-            check.add(samples)
-            held_out.append(samples)
+        with Bag(path) as bag:
+            for samples in read_samples(bag, session, pipeline, bags.topics, progress):
+                check.add(samples)
+                held_out.append(samples)
         session.review.judge_validation(path.name, check, pipeline.ledger.topics)
         session.pipeline.ledger.add(pipeline.ledger.topics)
     if not held_out and bags.holds_out:
         raise InputError(f"{', '.join(map(str, bags.fitted))}: too short, no data left to test on")
     return held_out
-
-
-def _opened(
-    path: Path, session: Session, pipeline: SignalPipeline, topics: Topics, progress: Progress
-) -> Iterator[Samples]:
-    with Bag(path) as bag:
-        yield from read_samples(bag, session, pipeline, topics, progress)
 
 
 def read_fitted(session: Session, bags: Bags, progress: Progress = silent) -> list[Samples]:

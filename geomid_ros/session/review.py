@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -62,20 +61,25 @@ class RecordingFacts:
     unchecked: tuple[str, ...] = ()
     settled: tuple[str, ...] = ()
 
-    @staticmethod
-    def combined(several: Sequence[RecordingFacts]) -> RecordingFacts:
-        """Combine several: each sentence once, and the joints that are unmeasured in all of them."""
+    def plus(self, later: RecordingFacts) -> RecordingFacts:
+        """Combine with ``later`` recordings: each sentence once, and the joints that are unmeasured in both."""
         ledger = Ledger()
-        for recorded in several:
-            ledger.add(recorded.accounts)
-        findings = {finding.sentence: finding for recorded in several for finding in recorded.findings}
-        common = set.intersection(*(set(recorded.unmeasured) for recorded in several)) if several else set()
-        once = {
-            name: tuple(dict.fromkeys(chain.from_iterable(getattr(recorded, name) for recorded in several)))
-            for name in ("remarks", "unmeasured", "incomplete", "unchecked", "settled")
-        }
-        once["unmeasured"] = tuple(joint for joint in once["unmeasured"] if joint in common)
-        return RecordingFacts(accounts=ledger.topics, findings=tuple(findings.values()), **once)
+        ledger.add(self.accounts)
+        ledger.add(later.accounts)
+        return RecordingFacts(
+            accounts=ledger.topics,
+            findings=tuple({finding.sentence: finding for finding in (*self.findings, *later.findings)}.values()),
+            remarks=_once(self.remarks, later.remarks),
+            unmeasured=tuple(joint for joint in self.unmeasured if joint in later.unmeasured),
+            incomplete=_once(self.incomplete, later.incomplete),
+            unchecked=_once(self.unchecked, later.unchecked),
+            settled=_once(self.settled, later.settled),
+        )
+
+
+def _once(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
+    """Texts of both, each once."""
+    return tuple(dict.fromkeys((*first, *second)))
 
 
 _OFTEN = "; does the driver publish more often than it measures? What repeats is left out, the rest serves"

@@ -91,20 +91,16 @@ class Session(Setup):
     def _estimator_settings(self, configuration: Configuration) -> EstimatorSettings:
         """Estimator settings with the population prior. Raises InputError if several priors are given, or none fits."""
         settings = configuration.estimator([channel.name for channel in self.model.channels])
-        files = {reader: ELEMENTS[reader] for reader in self._readers}
-        settings = replace(settings, files=files, alike=self._alike(configuration))
-        if not (path := configuration["prior"]):
-            return settings
-        for other, given in (("model", self.loaded.source), ("gamma", configuration["gamma"])):
-            if given:
-                raise InputError(f"{configuration.source}: prior and {other} are both given; choose one")
-        return replace(settings, population=read_population(Path(path)))
-
-    def _alike(self, configuration: Configuration) -> tuple[AlikeParts, ...]:
-        other_prior = self.loaded.source or configuration["prior"] or configuration["gamma"]
-        if configuration["alike"] == "urdf" and not other_prior:
-            return alike_parts(self.model.robot, self.model.identified)
-        return ()
+        settings = replace(settings, files={reader: ELEMENTS[reader] for reader in self._readers})
+        path = configuration["prior"]
+        given = [name for name, value in (("model", self.loaded.source), ("gamma", configuration["gamma"])) if value]
+        if path and given:
+            raise InputError(f"{configuration.source}: prior and {given[0]} are both given; choose one")
+        if path:
+            return replace(settings, population=read_population(Path(path)))
+        if configuration["alike"] == "urdf" and not given:
+            return replace(settings, alike=alike_parts(self.model.robot, self.model.identified))
+        return settings
 
     @property
     def alike_links(self) -> tuple[AlikeParts, ...]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from geomid_ros.errors import InputError
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import PDController
@@ -54,7 +54,10 @@ class Setup:
         """Joints fixed at zero: those of the configuration, and those that were locked when the model was
         identified."""
         self.robot = self.read_robot(urdf, source)
-        self.controller = self._read_controller()
+        self.controller = configuration.naming_source(
+            "command.gains: ",
+            lambda: PDController.of(configuration.gains, self.robot.joint_names, configuration["command.delay"]),
+        )
         """Controller from which efforts are computed; None if they are measured."""
         effects = configuration.effects
         model = MeasurementModel(
@@ -64,22 +67,13 @@ class Setup:
             configuration["links"] or None,
             self.loaded.local_effects(effects),
             candidates=configuration.candidates,
-            link_side_joints=configuration.behind_gear(self.robot.joint_names),
+            link_side_joints=configuration.behind_gear([joint.name for joint in self.robot.tree.joints]),
             contacts=configuration.contacts,
             commanded=self.controller is not None,
         )
         self.model = model.with_known_loads(self.loaded.parameters(model))
         self.received_joints: set[str] = set()
         """Names of joints in all messages so far."""
-
-    def _read_controller(self) -> PDController | None:
-        """Controller with the gains from which efforts are computed; None if they are measured. Raises InputError."""
-        try:
-            return PDController.of(
-                self.configuration.gains, self.robot.joint_names, self.configuration["command.delay"]
-            )
-        except InputError as error:
-            raise InputError(f"{self.configuration.source}: command.gains: {error}") from error
 
     def unitree(self) -> UnitreeMessages:
         """Create a converter of a Unitree robot's messages. It raises InputError naming the fault of its ``motors``
@@ -112,8 +106,29 @@ class Setup:
 
     @property
     def lockable(self) -> tuple[str, ...]:
-        """Joints that are in no message so far, if they may count as fixed at zero."""
-        return _lockable(self.robot, frozenset(self.received_joints), [sensor.frame for sensor in self.model.sensors])
+        """Joints that are in no message so far, as those of grippers, if all of them may count as fixed at zero.
+
+        They may if nothing measured depends on their positions: distal to them are no joints in messages, no wrench
+        sensors, and at most a tenth of the moving mass. An unknown name in a message may be that of a joint that seems
+        to be missing: then nothing is locked.
+        """
+        robot, received = self.robot, frozenset(self.received_joints)
+        absent = [joint for joint in robot.joint_names if joint not in received]
+        unknown = received.difference(joint.name for joint in robot.tree.joints)
+        if len(absent) == len(robot.joint_names) or unknown:
+            return ()
+        follow = {f.joint.name: robot.joint_names[f.master] for f in robot.mimic_joints}
+        child = {joint.name: joint.child for joint in robot.tree.joints}
+        locked = [joint for joint in (*robot.joint_names, *follow) if follow.get(joint, joint) in absent]
+        measured = [joint for joint in (*robot.joint_names, *follow) if joint not in locked]
+        distal = {link for joint in locked for link in robot.tree.subtree(child[joint])}
+        if distal & {*(sensor.frame for sensor in self.model.sensors), *(child[joint] for joint in measured)}:
+            return ()
+        moving = {link for joint in measured for link in robot.tree.subtree(child[joint])}
+        moving = set(robot.tree.links) if robot.floating_base else moving
+        masses = {link: float(parameters[0]) for link, parameters in robot.tree.inertials.items() if link in moving}
+        light = sum(masses[link] for link in distal & masses.keys()) <= LIGHT * sum(masses.values())
+        return tuple(absent) if light else ()
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -151,7 +166,7 @@ class Setup:
 
     def new_pipeline(
         self,
-        settings: SignalSettings | None = None,
+        cutoff: float | None = None,
         effect_columns: tuple[Column, ...] | None = None,
         on_accepted: Callable[[AcceptedMessages], None] = ignore,
         ledger: Ledger | None = None,
@@ -159,17 +174,16 @@ class Setup:
         """Create a pipeline for another recording of the same robot.
 
         Args:
-            settings: the configuration's, unless given.
+            cutoff: cutoff of the low-pass [Hz]; the configuration's, unless given.
             effect_columns: the columns to compute; those of the model's effects, unless given.
             on_accepted: called with every accepted message.
             ledger: counts what becomes of each message.
         """
-        joints = self.robot.joint_names
         return SignalPipeline(
-            joints,
+            self.robot.joint_names,
             floating_base=self.robot.floating_base,
             sensors=self.model.sensors,
-            settings=self.loaded.corrected_signals(settings, joints) if settings else self.signals,
+            settings=replace(self.signals, cutoff=cutoff) if cutoff else self.signals,
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
             turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
             limits=np.array([self.robot.speed_limits, self.robot.effort_limits]),
@@ -200,38 +214,5 @@ class Setup:
         frame = self.configuration["imu.frame"]
         if not frame:
             return None
-        try:
-            placement = self.robot.base_placement(frame)
-        except InputError as error:
-            raise InputError(f"{self.configuration.source}: imu.frame: {error}") from error
+        placement = self.configuration.naming_source("imu.frame: ", lambda: self.robot.base_placement(frame))
         return ImuMount(placement[:3, :3], placement[:3, 3], self.robot.gravity)
-
-
-def _lockable(robot: Robot, heard: Collection[str], frames: Iterable[str]) -> tuple[str, ...]:
-    """Joints of the robot that are in no message, as those of grippers, if all of them may count as fixed at zero.
-
-    They may if nothing measured depends on their positions: distal to them are no joints in messages, no wrench
-    sensors, and at most a tenth of the moving mass. An unknown name in a message may be that of a joint that seems to
-    be missing: then nothing is locked.
-
-    Args:
-        robot: the robot, without these joints locked.
-        heard: names of joints in messages.
-        frames: frames of wrench sensors.
-    """
-    absent = [joint for joint in robot.joint_names if joint not in heard]
-    unknown = set(heard).difference(joint.name for joint in robot.tree.joints)
-    if len(absent) == len(robot.joint_names) or unknown:
-        return ()
-    follow = {f.joint.name: robot.joint_names[f.master] for f in robot.mimic_joints}
-    child = {joint.name: joint.child for joint in robot.tree.joints}
-    locked = [joint for joint in (*robot.joint_names, *follow) if follow.get(joint, joint) in absent]
-    measured = [joint for joint in (*robot.joint_names, *follow) if joint not in locked]
-    distal = {link for joint in locked for link in robot.tree.subtree(child[joint])}
-    if distal & {*frames, *(child[joint] for joint in measured)}:
-        return ()
-    moving = {link for joint in measured for link in robot.tree.subtree(child[joint])}
-    moving = set(robot.tree.links) if robot.floating_base else moving
-    masses = {link: float(parameters[0]) for link, parameters in robot.tree.inertials.items() if link in moving}
-    light = sum(masses[link] for link in distal & masses.keys()) <= LIGHT * sum(masses.values())
-    return tuple(absent) if light else ()

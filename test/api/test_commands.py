@@ -124,6 +124,8 @@ def test_set_points_that_would_not_be_read_are_refused(without_efforts: Path, mo
         geomid_ros.weigh_payload(BAG, without_efforts, URDF, command=TOPIC)
     with pytest.raises(InputError, match=said):
         geomid_ros.verify(model, without_efforts, URDF, command=TOPIC)
+    with pytest.raises(InputError, match=said):
+        geomid_ros.identify_fleet(str(without_efforts.parent), URDF, out=model.parent / "fleet", command=TOPIC)
 
 
 def unitree() -> Iterator[tuple[str, int, bytes]]:

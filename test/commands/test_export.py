@@ -113,3 +113,5 @@ def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:
         (["--into", "robot.xml"], "into is a file of MuJoCo's"),
     ):
         assert said in refused("export", urdf, "--for", "gazebo", *wrong)
+    both = ("--into", "robot.xml", "--frame", "tool")
+    assert "into and frame exclude each other" in refused("export", urdf, "--for", "mujoco", *both)

@@ -105,6 +105,8 @@ def test_an_estimate_stands_for_the_empty_recording(torques: Path) -> None:
     urdf = BAGS / "arm3.urdf"
     both = json.loads(done("payload", BAGS / "arm3", BAGS / "arm3", "--urdf", urdf, "--frame", "tool", "--json"))
     assert both["quantities"]["mass"] < 0.05
+    said = refused("payload", torques / "estimate.json", BAGS / "arm3", "--for", "ur", "--json")
+    assert "--json and --for exclude each other" in said
 
 
 def test_an_estimate_without_its_posterior_is_refused(torques: Path, tmp_path: Path) -> None:

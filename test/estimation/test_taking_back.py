@@ -96,6 +96,19 @@ def test_what_is_taken_again_is_there_as_if_nothing_had_been(forgetting_time: fl
         assert_same(identifier, add(begun(of, forgetting_time, 0), expected.samples))
 
 
+def test_other_channels_of_the_same_reason_are_left_out_as_well() -> None:
+    of = case()
+    effort = of.samples.effort.copy()
+    effort[BEGIN:, 1] = effort[END:, 2] = np.nan
+    identifier = add(begun(of, np.inf, COUNT), of.samples)
+    assert identifier.leave_out("bad", (1,), BEGIN)
+    assert identifier.leave_out("bad", (2,), END)
+    assert not identifier.leave_out("bad", (1,), BEGIN), "it is already"
+    assert_same(identifier, add(begun(of, np.inf, 0), of.with_efforts(effort).samples))
+    assert identifier.restore_rows("bad", 0)
+    assert_same(identifier, add(begun(of, np.inf, 0), of.samples))
+
+
 def test_what_is_settled_stays() -> None:
     """Whether it was taken or left out by then."""
     of = case()

@@ -45,7 +45,7 @@ ELASTIC = finding("joint_elasticity", "j2", [("effort_delay", "")], stiffness=30
 
 @pytest.mark.parametrize("own", [ROTOR, SPRING, ELASTIC], ids=["rotor", "spring", "elastic"])
 def test_a_deciding_motion_tells_more_than_random_ones(own: dict[str, Any], tmp_path: Path) -> None:
-    judge, _ = rival_effects(TASK.feasibility, written(tmp_path, own))
+    judge = rival_effects(TASK.feasibility, written(tmp_path, own))
     random = np.random.default_rng(1)
     motion = discriminating_motion(TASK.feasibility, TASK.form, judge, random)
     assert TASK.feasibility.keeps_limits(motion)
@@ -63,7 +63,7 @@ def test_what_a_deciding_motion_shows_is_not_lost_in_making_it_feasible(
 ) -> None:
     """In a shaft the best motion collides; bending it, which does not look at rivals, may leave nothing of it."""
     task = small_task(MotionOptions(duration=6.0, repeats=1, avoid=WALLS))
-    judge, _ = rival_effects(task.feasibility, written(tmp_path, ELASTIC))
+    judge = rival_effects(task.feasibility, written(tmp_path, ELASTIC))
     monkeypatch.setattr(Search, "improved", lambda _, motion: motion.scaled(0.0))
     motion = discriminating_motion(task.feasibility, task.form, judge, np.random.default_rng(1))
     assert task.feasibility.keeps_limits(motion)
@@ -72,7 +72,7 @@ def test_what_a_deciding_motion_shows_is_not_lost_in_making_it_feasible(
 
 def test_the_difference_is_what_the_rival_cannot_explain(tmp_path: Path) -> None:
     """A spring, by least squares with an offset and inertias within their prior: the residual that is left."""
-    judge, _ = rival_effects(TASK.feasibility, written(tmp_path, SPRING))
+    judge = rival_effects(TASK.feasibility, written(tmp_path, SPRING))
     motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(2))
     judge.prepare(motion.scaled(0.5))
     ((difference,),) = judge.differences(motion)
@@ -147,9 +147,9 @@ def test_reports_that_cannot_be_used(document: dict[str, Any], message: str, tmp
 
 
 def test_a_motion_is_not_changed_by_its_judge(tmp_path: Path) -> None:
-    judge, labels = rival_effects(TASK.feasibility, written(tmp_path, ROTOR, SPRING))
+    judge = rival_effects(TASK.feasibility, written(tmp_path, ROTOR, SPRING))
     motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(4))
     judge.prepare(motion.scaled(0.5))
-    assert [len(own) for own in judge.differences(motion)] == [len(rivals) for _, rivals in labels] == [1, 1]
+    assert [len(own) for own in judge.differences(motion)] == [1, 1]
     still = ExcitingMotion(motion.form, motion.start, 0.0 * motion.coefficients)
     assert judge.smallest_difference(still) < judge.smallest_difference(motion)

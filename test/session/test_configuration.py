@@ -248,6 +248,13 @@ def test_behind_the_gear_no_motor_is_felt() -> None:
     assert everywhere.behind_gear(["joint1", "joint2"]) == {"joint2"}
 
 
+def test_a_side_of_an_unknown_joint_is_refused_and_that_of_a_locked_one_is_not() -> None:
+    urdf = (FILE.parents[1] / "bags/arm3.urdf").read_text()
+    Session(urdf, Configuration({"joint.joint3.effort_side": "link", "locked_joints": ["joint3"]}), "arm3.urdf")
+    with pytest.raises(InputError, match=r"cell\.yaml: unknown joint with an effort_side 'jiont3'.*'joint3'"):
+        Session(urdf, Configuration({"joint.jiont3.effort_side": "link"}, "cell.yaml"), "arm3.urdf")
+
+
 @pytest.mark.parametrize("key", ["effort_side", "joint.joint1.effort_side"])
 def test_another_side_is_refused(key: str) -> None:
     with pytest.raises(InputError, match=f"unknown value of {key} 'gear'"):

@@ -33,7 +33,7 @@ def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -
     pipeline = gap_pipeline(session, min(CUTOFF, 100.0 / LOWEST_RATE_PER_CUTOFF))
     with Bag(BAG) as bag:
         everything = list(read_samples(bag, session, pipeline, Topics("joint_states", "odom")))
-    ((_, expected),) = split_held_out([Samples.concatenate(everything)], SHARE)
+    _, expected = split_held_out(Samples.concatenate(everything), SHARE)
     np.testing.assert_array_equal(late.stamps, expected.stamps)
     for name in ("position", "velocity", "acceleration", "effort"):
         own = expected.arrays[name]

@@ -145,6 +145,18 @@ def test_what_is_not_told_is_not_said_first() -> None:
     )
 
 
+def test_the_link_that_is_taken_where_no_flange_is_named_is_said_once() -> None:
+    known = session()
+    known.identifier.add(recording(0, False))
+    posterior, loaded = known.identifier.solve().posterior, [recording(0, True)]
+    assumed, named = (identify_payload_at(session(), posterior, loaded, frame).document for frame in ("", "link3"))
+    (note,) = assumed["notes"]
+    assert "--frame" in note
+    assert "at 'link3', the last moving link" in note
+    assert not named["notes"]
+    assert assumed["quantities"] == named["quantities"]
+
+
 def test_gains_of_single_joints_are_in_the_deviations() -> None:
     """One joint's gain moves the centre of mass; a gain of all moves the mass alone, one to one."""
     sure, unsure = weighed(2, 0.0), weighed(2, 0.05)

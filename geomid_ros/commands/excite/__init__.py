@@ -11,7 +11,7 @@ from rich.table import Table
 import geomid_ros
 from geomid_ros.commands.excite.run import learn, run
 from geomid_ros.commands.options import UNTRIED_OUT, options_of, share
-from geomid_ros.commands.terminal import plain_table, progress_bar, results_console, say
+from geomid_ros.commands.terminal import plain_table, print_remarks, progress_bar, results_console, say
 from geomid_ros.session.options import MotionOptions
 
 if TYPE_CHECKING:
@@ -59,8 +59,7 @@ excite.add_command(learn)
 def _show(design: Excitation) -> None:
     """Print notes, margins and expected standard deviations."""
     console = results_console()
-    for note in design.task.notes:
-        say(console, "Note:", f" {note}")
+    print_remarks(console, {"Note": design.task.notes})
     form = design.motion.form
     console.print(f"{form.repeats} x {form.period:g} s = {form.duration:g} s")
     console.print(_margins(design))

@@ -8,14 +8,13 @@ import sys
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import click
 
 import geomid_ros
 from geomid_ros.commands.options import OUT, PATH, UNTRIED_OUT, options_of, share
-from geomid_ros.commands.terminal import plain_table, progress_bar, results_console, say
+from geomid_ros.commands.terminal import plain_table, print_remarks, progress_bar, results_console
 from geomid_ros.errors import GeomidError, InputError, needing_ros, printable
 from geomid_ros.session.options import DescriptionOptions, MotionOptions, RunOptions
 
@@ -59,35 +58,44 @@ def run(
 
     if execute:
         check_writable(out)
-    ros = ros_runs()
     robot = description(DescriptionOptions(urdf), []) if urdf else None
-    order = ros.MotionRequest(
+    folders = (out / f"run{number}" for number in count(1))
+    bag = next(folder for folder in folders if not folder.exists()) if execute else None
+    _run_motion(
+        bag,
         motion=read_trajectory(trajectory),
         source=str(trajectory),
         speed=speed,
         urdf=(robot.text, robot.source) if robot else None,
         options=RunOptions(**options),
     )
-    with ros.prepared_run(order) as prepared:
-        show_plan(order, prepared.plan)
-        if not execute:
-            click.echo("\nNothing has moved. To run it, add --execute")
-            return
-        folders = (out / f"run{number}" for number in count(1))
-        bag = next(folder for folder in folders if not folder.exists())
-        prepared.execute(bag, lambda line: click.echo(printable(line), err=True))
-    click.echo(f"Recorded: {bag}")
-    _identify(bag, identify)
+    if bag is not None:
+        click.echo(f"Recorded: {bag}")
+        _identify(bag, identify)
 
 
-def ros_runs() -> ModuleType:
-    """Import the module that runs motions. Raises InputError if ROS is not installed."""
+def _run_motion(bag: Path | None, **motion: Any) -> None:
+    """Print the plan of a motion; with a ``bag``, move the robot and record into it.
+
+    Args:
+        bag: folder of the recording.
+        **motion: attributes of :class:`~geomid_ros.ros.excite.run.MotionRequest`.
+
+    Raises:
+        GeomidError: the motion is impossible, it was stopped, or ROS is not installed.
+    """
     with needing_ros("running a motion"):
-        from geomid_ros.ros.excite import run
-    return run
+        from geomid_ros.ros.excite.run import MotionRequest, prepared_run
+    order = MotionRequest(**motion)
+    with prepared_run(order) as prepared:
+        _show_plan(order, prepared.plan)
+        if bag is None:
+            click.echo("\nNothing has moved. To run it, add --execute")
+        else:
+            prepared.execute(bag, lambda line: click.echo(printable(line), err=True))
 
 
-def show_plan(order: MotionRequest, plan: Plan) -> None:
+def _show_plan(order: MotionRequest, plan: Plan) -> None:
     """Print the plan of a motion."""
     from geomid_ros.report.gap_words import percent
 
@@ -102,8 +110,7 @@ def show_plan(order: MotionRequest, plan: Plan) -> None:
         table.add_row(joint, *(f"{number:.3f}" for number in numbers), share)
     console.print(table)
     far = max(abs(plan.approach.positions[-1] - current))
-    for note in plan.notes:
-        say(console, "Note:", f" {note}")
+    print_remarks(console, {"Note": plan.notes})
     console.print(
         f"Approach: {far:.3f} rad (m) to the start, in {plan.approach.duration:.1f} s. "
         f"Motion: {motion.duration:.1f} s at {100.0 * order.speed:g} % of its speed, "
@@ -174,7 +181,6 @@ def learn(*, until: float, rounds: int, yes: bool, execute: bool, out: Path, **o
             break
         learning.run(designed, execute=execute)
         if not execute:
-            click.echo("\nNothing has moved. To run it, add --execute")
             return
         learning.identify()
     else:
@@ -244,19 +250,15 @@ class _LearningRounds:
         Raises GeomidError with instructions to continue. Any stop ends the rounds, because it was unexpected and the
         robot must be inspected before it moves again.
         """
-        ros = ros_runs()
-        order = ros.MotionRequest(
-            motion=designed.trajectory,
-            source=str(self.folder / "trajectory.yaml"),
-            speed=1.0,
-            urdf=(self.robot.text, self.robot.source),
-            options=self.asked,
-        )
         try:
-            with ros.prepared_run(order) as prepared:
-                show_plan(order, prepared.plan)
-                if execute:
-                    prepared.execute(self.folder / "recording", lambda line: click.echo(printable(line), err=True))
+            _run_motion(
+                self.folder / "recording" if execute else None,
+                motion=designed.trajectory,
+                source=str(self.folder / "trajectory.yaml"),
+                speed=1.0,
+                urdf=(self.robot.text, self.robot.source),
+                options=self.asked,
+            )
         except GeomidError as error:
             raise GeomidError(f"round {self.number}: {error}. {self._how_to_continue}") from error
 
