@@ -138,7 +138,10 @@ class MotionClock:
         moves = (waited > 0.0) & (waited <= self._max_gap) & (np.sum(np.abs(mean) > REST_SPEED, axis=1) > 1)
         given = moves[:, None] & np.isfinite(mean)
         moved, mean = (np.where(given, of, 0.0) for of in (steps(positions, position), mean))
-        excess = waited * self._excess(moved, mean * 1e-9 * waited[:, None], moves)
+        if moves.any():
+            excess = waited * self._excess(moved, mean * 1e-9 * waited[:, None], moves)
+        else:
+            excess, self._share = np.zeros(len(stamps)), np.ones(1)
         if not self.is_used:
             self._may_be_used = self._count < FEWEST_IN_BURSTS
             return stamps
