@@ -92,7 +92,7 @@ class Robot:
     @property
     def _options(self) -> RecordingOptions:
         options = {name: value for name, value in self.case.options.items() if name != "hold_out"}
-        return RecordingOptions(urdf=DATA / self.case.urdf, **options)
+        return RecordingOptions(urdf=self.case.description, **options)
 
 
 def splits(recordings: dict[str, Samples]) -> Iterator[Split]:

@@ -46,13 +46,26 @@ PAPER = "geomid, (19)"
 
 @dataclass(frozen=True)
 class Case:
-    """A robot's recordings: what to train on, and what to test on (other bags, or the last part of the first)."""
+    """A robot's recordings: what to train on, and what to test on (other bags, or the last part of the first). The bags
+    may name its joints otherwise: ``renamed`` is the beginning of a name in the URDF, and in the bags."""
 
     urdf: str
     train: tuple[str, ...]
     validate: tuple[str, ...] = ()
     options: dict[str, Any] = field(default_factory=dict)
     gap: bool = True
+    renamed: tuple[str, str] = ("", "")
+
+    @property
+    def description(self) -> Path:
+        """URDF whose joints have the bags' names."""
+        given = DATA / self.urdf
+        if not any(self.renamed):
+            return given
+        copy = Path("out/measured_data") / given.name
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_text(given.read_text(encoding="utf-8").replace(*self.renamed), encoding="utf-8")
+        return copy
 
 
 CASES = {
@@ -68,6 +81,11 @@ CASES = {
     "kr300": Case("kuka_kr300/kr300.urdf", ("kuka_kr300/FF_A", "kuka_kr300/FF_B"), ("kuka_kr300/FF_C",)),
     "med7": Case("kuka_med7/med7.urdf", ("kuka_med7/measurements",)),
     "tx40": Case("staubli_tx40/tx40.urdf", ("staubli_tx40/tx40",)),
+    "panda": Case(
+        "panda_unisa_rosbag2/panda_nohand.urdf",
+        ("panda_unisa_rosbag2/panda_exciting_trajectory",),
+        renamed=("panda_joint", "fer_joint"),
+    ),
     "go2_air": Case("go2_air/go2.urdf", ("go2_air/traj_0",), gap=False),
     "wrist": Case(
         "wrist_ft_payload/tool.urdf",
@@ -110,7 +128,7 @@ def compare(case: Case, paper: bool = False) -> Comparison:
     validate = [DATA / name for name in case.validate]
     bags = [DATA / name for name in case.train]
     begin = time.process_time()
-    found = geomid_ros.identify(bags, DATA / case.urdf, validate=validate, **case.options)
+    found = geomid_ros.identify(bags, case.description, validate=validate, **case.options)
     seconds = time.process_time() - begin
     session, test = found.session, Samples.concatenate(list(found.held_out))
     solutions = {
@@ -140,7 +158,7 @@ def compare(case: Case, paper: bool = False) -> Comparison:
 def _paper(case: Case, bags: list[Path], validate: list[Path]) -> tuple[FloatArray, FloatArray]:
     """Parameters and held-out RMS ``(channels,)`` with the paper's objective."""
     options = {**case.options, "config": {**case.options.get("config", {}), "objective": "geodesic"}}
-    found = geomid_ros.identify(bags, DATA / case.urdf, validate=validate, **options)
+    found = geomid_ros.identify(bags, case.description, validate=validate, **options)
     parameters = np.asarray(found.estimate.parameters)
     return parameters, found.session.rms([Samples.concatenate(list(found.held_out))], parameters)
 
@@ -207,7 +225,7 @@ def gap(case: Case) -> dict[str, Any]:
         name: case.options[name] for name in ("config",) if name in case.options
     }
     validate = [DATA / name for name in case.validate]
-    found = geomid_ros.find_gap([DATA / name for name in case.train], DATA / case.urdf, validate=validate, **options)
+    found = geomid_ros.find_gap([DATA / name for name in case.train], case.description, validate=validate, **options)
     again = [times_noise for simulation in found.simulated for times_noise in simulation.errors["after"].values()]
     return {
         "verdict": found.result.verdict,

@@ -136,12 +136,13 @@ def test_a_measured_universal_robot(tmp_path: Path) -> None:
 @needs_recordings
 @pytest.mark.usefixtures("without_pictures")
 def test_a_measured_franka(tmp_path: Path) -> None:
-    """Its driver called the joints otherwise than its description did."""
+    """Its driver called the joints otherwise than its description did. Its joint states were republished, which cost
+    half of the accuracy while their stamps were believed."""
     folder = MEASURED / "panda_unisa_rosbag2"
     urdf = tmp_path / "fer.urdf"
     urdf.write_text((folder / "panda_nohand.urdf").read_text().replace("panda_joint", "fer_joint"))
     found = identified(folder / "panda_exciting_trajectory", urdf, "franka.yaml", tmp_path / "out")
-    assert found["held_out"] < 0.7 * found["nominal"]
+    assert found["held_out"] < 0.45 * found["nominal"]
     links = json.loads((tmp_path / "out/estimate.json").read_text())["links"]
     assert sum(link["mass"] for link in links) == pytest.approx(16.1, rel=0.1)
 

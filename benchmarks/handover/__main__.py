@@ -53,7 +53,7 @@ def figures(name: str) -> dict[str, Any]:
     case = CASES[name]
     found = geomid_ros.identify(
         [DATA / bag for bag in case.train],
-        DATA / case.urdf,
+        case.description,
         validate=[DATA / bag for bag in case.validate],
         **case.options,
     )

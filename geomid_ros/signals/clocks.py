@@ -1,9 +1,13 @@
 """Checks and corrects the times of messages: wrong clocks, shown by velocities that are not the derivatives of
-positions, and times of messages that arrive in bursts.
+positions, times of messages that arrive in bursts, and stamps that are not the times of measurement.
 
 Messages that wait somewhere and arrive together (wireless links, batches of a bus) are stamped on arrival. If they were
 measured with a fixed period, their running numbers give the times: the last message of a burst waits the least, and
 these lie on a line.
+
+A node that publishes the latest measurement of a source with another period (``joint_state_publisher``) stamps it with
+the time of publishing, as does a driver on a busy computer with the time at which it gets to it. The measurement is
+older by a time that varies, and positions seem to jerk. Velocities tell how much time has passed between two positions.
 """
 
 from __future__ import annotations
@@ -82,6 +86,107 @@ class RegularClock:
             return self.period
         late = self._last - self._origin - self._time  # the message before was the last of a burst
         return self.period + (late if abs(late) > _LOST * self.period else _FOLLOWS * late)
+
+
+class MotionClock:
+    """Times at which joint messages were measured, from the positions and velocities in them.
+
+    In a step from one message to the next, joints move by d at the mean velocity v. If the stamps are right, d is v
+    times the time between them, but for noise. Else the time that passed is ``sum w d v / sum w v^2`` over the joints,
+    each with the weight w of its errors ``d - v time``. The stamps are wrong if this explains most of the errors, and
+    differs from step to step: that of velocities which lag changes slowly. Steps in which at least two joints move
+    count, as noise is not common to them. The first :data:`FEWEST_IN_BURSTS` decide.
+    """
+
+    _OFF = 0.05  # mean difference of both times, as a fraction, above which the velocities have another unit
+    _LEAST = 0.01  # RMS difference that matters
+
+    def __init__(self, joints: int, max_gap: int) -> None:
+        """
+        Args:
+            joints: number of joints.
+            max_gap: [ns] messages further apart are not compared.
+        """
+        self._max_gap = max_gap
+        self.is_used = False
+        """True if the stamps are wrong, and times are computed from the motion."""
+        self._may_be_used = joints > 1
+        self._lag = 0  # [ns] from the time of the last message to its stamp
+        self._count = 0  # steps in which joints move
+        self._squares = np.zeros((1, joints))  # of the errors, summed over them
+        self._sums = np.zeros((1, 6))  # over them, see _excess
+        self.restart()
+
+    def restart(self) -> None:
+        """Restart after a clock was set or positions leapt."""
+        self._last: tuple[int, FloatArray, FloatArray] | None = None
+        self._share: FloatArray = np.ones(1)  # of the time between stamps that passed in the last step
+
+    def times(self, stamps: IntArray, positions: FloatArray, velocities: FloatArray) -> IntArray:
+        """Return the times [ns] of the next messages ``(N,)``, which increase.
+
+        Args:
+            stamps: ``(N,)`` [ns], increasing.
+            positions, velocities: ``(N, joints)``; NaN for velocities that are not measured.
+        """
+        if not self._may_be_used:
+            return stamps
+        stamp, position, velocity = self._last or (int(stamps[0]), positions[0], velocities[0])
+        self._last = int(stamps[-1]), positions[-1].copy(), velocities[-1].copy()
+        waited = steps(stamps, stamp).astype(float)
+        mean = velocities - 0.5 * steps(velocities, velocity)
+        moves = (waited > 0.0) & (waited <= self._max_gap) & (np.sum(np.abs(mean) > REST_SPEED, axis=1) > 1)
+        given = moves[:, None] & np.isfinite(mean)
+        moved, mean = (np.where(given, of, 0.0) for of in (steps(positions, position), mean))
+        if moves.any():
+            excess = waited * self._excess(moved, mean * 1e-9 * waited[:, None], moves)
+        else:
+            excess, self._share = np.zeros(len(stamps)), np.ones(1)
+        if not self.is_used:
+            self._may_be_used = self._count < FEWEST_IN_BURSTS
+            return stamps
+        times = np.empty_like(stamps)
+        for index, (now, step, added) in enumerate(zip(stamps.tolist(), waited.tolist(), excess.tolist(), strict=True)):
+            lag = round((1.0 - _FOLLOWS) * (self._lag + added)) if step <= self._max_gap else 0
+            shortest = max(1, round(step / CLEAR_RATIO)) if step else 0
+            times[index] = max(now - lag, stamp - self._lag + shortest)
+            stamp, self._lag = now, now - int(times[index])
+        return times
+
+    def _excess(self, moved: FloatArray, expected: FloatArray, moves: BoolArray) -> FloatArray:
+        """Return how much too long the time between stamps is in each step ``(N,)``, as a fraction of it; zero until
+        the stamps are known to be wrong.
+
+        Args:
+            moved, expected: d, and v times the time between stamps, ``(N, joints)``; zero where nothing ``moves (N,)``.
+        """
+        counts = self._count + np.cumsum(moves)
+        errors = (moved - expected) ** 2
+        squares = np.cumsum(np.concatenate([self._squares, errors]), axis=0)[1:]
+        weights = np.divide(counts[:, None], squares, out=np.zeros_like(squares), where=squares > 0.0)
+        known = _total(weights * expected**2)
+        share = np.divide(_total(weights * expected * moved), known, out=np.ones(len(known)), where=known > 0.0)
+        share = np.maximum(share, 1.0 / CLEAR_RATIO)
+        left = _total(weights * (moved - expected * share[:, None]) ** 2)
+        changes = known * steps(share, self._share) ** 2
+        terms = [_total(weights * errors), left, known, known * share, known * (share - 1.0) ** 2, changes]
+        sums = np.cumsum(np.concatenate([self._sums, np.column_stack(terms)]), axis=0)[1:]
+        self._count, self._squares, self._sums, self._share = int(counts[-1]), squares[-1:], sums[-1:], share[-1:]
+        all_errors, all_left, all_known, shares, jitter, all_changes = sums.T
+        is_wrong = (all_left < all_errors / CLEAR_RATIO) & (all_changes > jitter)
+        is_wrong &= (np.abs(shares - all_known) < self._OFF * all_known) & (jitter > self._LEAST**2 * all_known)
+        is_wrong &= (counts >= FEWEST) & (counts <= FEWEST_IN_BURSTS)
+        used = np.logical_or.accumulate(np.append(self.is_used, is_wrong))[1:]
+        self.is_used = bool(used[-1])
+        # Of what a step shows, the fraction that is no noise (Wiener's filter).
+        signal = (squares.shape[1] - 1.0) * counts * known * jitter
+        shown = np.divide(signal, signal + all_known * all_left, out=np.zeros_like(signal), where=signal > 0.0)
+        return np.asarray(used * shown * (1.0 - share))
+
+
+def _total(terms: FloatArray) -> FloatArray:
+    """Sum over the last axis, in order, so that the sums do not depend on the number of messages taken together."""
+    return np.asarray(np.cumsum(terms, axis=-1)[..., -1])
 
 
 SCALED = Reason(

@@ -14,14 +14,14 @@ from geomid_ros.model.columns import Column, Entries, PlacedColumn
 from geomid_ros.model.controller import PDController
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import SAMPLES_PER_PIECE, Samples
-from geomid_ros.signals.clocks import FEWEST, FEWEST_IN_BURSTS, RegularClock, VelocityCheck, in_bursts
+from geomid_ros.signals.clocks import FEWEST, FEWEST_IN_BURSTS, MotionClock, RegularClock, VelocityCheck, in_bursts
 from geomid_ros.signals.joint_messages import FROZEN
-from geomid_ros.signals.ledger import Account, Ledger, driver_error
+from geomid_ros.signals.ledger import Account, Ledger, Reason, driver_error
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages
 from geomid_ros.signals.moving_base import ImuSegment
 from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MOST_WAITING, PERIOD_ROUNDING, SignalSettings
 from geomid_ros.signals.streams import Grid, HeldSegment, JointSegment, PoseSegment, Stream, VectorSegment
-from geomid_ros.types import BoolArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 IN_BURSTS = driver_error(
     "messages come in bursts: stamps are times of arrival, not of measurement; times are computed from the order of "
@@ -30,6 +30,11 @@ IN_BURSTS = driver_error(
 NOW_IN_BURSTS = driver_error(
     "messages have begun to come in bursts: stamps are times of arrival, not of measurement; stamp them where they "
     "are measured"
+)
+LATE = Reason(
+    "stamps are not the times of measurement: positions jerk between them, velocities do not; times are computed from "
+    "velocities; stamp messages when they are measured",
+    "told",
 )
 UNEVEN = driver_error("messages come in uneven bursts: their times of measurement are unknown")
 _EFFORTS = "joint_states.effort"  # stream of delayed efforts; no topic has this name
@@ -70,6 +75,7 @@ class Sampler:
         self._ledger = ledger
         self._velocities = VelocityCheck(len(continuous))
         self._clock: RegularClock | None = None  # of joint messages whose stamps are not times of measurement
+        self._motion_clock = MotionClock(len(continuous), self._max_gap)
         self._watched = np.zeros(0, dtype=np.int64)  # stamps of the last joint messages
         self._grid: Grid | None = None
         self._streams: dict[str, Stream[Any]] = {}
@@ -99,6 +105,7 @@ class Sampler:
         self._waiting.clear()
         self._newest.clear()
         self._next_instant = 0
+        self._motion_clock.restart()
         if self._grid is not None:
             self._open_streams(self._grid)
 
@@ -147,6 +154,7 @@ class Sampler:
             stamps = self._clock.times(stamps)
         elif accepted.topic == JOINT_STATES:
             self._watch(stamps)
+            stamps = self._times(stamps, values)
         if accepted.topic == COMMANDS and self._controller is not None:
             stamps = stamps + self._controller.delay
         self._streams[accepted.topic].push(stamps, values)
@@ -154,6 +162,14 @@ class Sampler:
         if accepted.topic == JOINT_STATES and self._effort_delay:
             self._streams[_EFFORTS].push(stamps - self._effort_delay, values[:, 2 * len(self._continuous) :])
             self._newest[_EFFORTS] = int(stamps[-1])
+
+    def _times(self, stamps: IntArray, values: FloatArray) -> IntArray:
+        """Return the times of measurement of joint messages; note in the ledger if the stamps are others."""
+        was_used, joints = self._motion_clock.is_used, len(self._continuous)
+        times = self._motion_clock.times(stamps, values[:, :joints], values[:, joints : 2 * joints])
+        if self._motion_clock.is_used and not was_used:
+            self._ledger.note(JOINT_STATES, LATE)
+        return times
 
     def _watch(self, stamps: IntArray) -> None:
         """Note in the ledger if messages begin to come in bursts."""

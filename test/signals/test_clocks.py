@@ -1,6 +1,7 @@
 """Messages in bursts are timed by their number in the row.
 
-Samples move by their positions; velocities of messages tell whether stamps and units are right.
+Samples move by their positions; velocities of messages tell whether stamps and units are right, and when messages were
+measured if the stamps do not.
 """
 
 from __future__ import annotations
@@ -12,14 +13,15 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.clocks import SCALED, RegularClock, in_bursts
+from geomid_ros.signals.clocks import SCALED, MotionClock, RegularClock, in_bursts
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.pipeline import SignalPipeline
-from geomid_ros.signals.sampler import NOW_IN_BURSTS, UNEVEN
+from geomid_ros.signals.sampler import LATE, NOW_IN_BURSTS, UNEVEN
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import JOINTS, START, Motion, assert_same, balanced, feed, joint_messages, regular
+from .sent import JointMessage
 from .spoiled import in_parts, pipeline
 
 MS = 1_000_000  # [ns]
@@ -170,3 +172,87 @@ def test_a_joint_that_stands_still_tells_nothing(rate: float) -> None:
     noted = " ".join(map(str, target.ledger.topics[JOINT_STATES].noted))
     assert ("stamps run 2 times too fast" in noted) == (rate == 2.0)
     assert str(SCALED) not in noted
+
+
+def republished(source: float, period: float, seconds: float = 40.0, noise: float = 1e-5) -> list[JointMessage]:
+    """Messages of a node that repeats the latest measurement of a source with another period [s], and stamps it when it
+    publishes; with noise of the positions [rad]."""
+    stamps = regular(period, seconds)
+    measured = START + np.round(((stamps - START) * 1e-9 // source) * source * 1e9).astype(np.int64)
+    errors = dict(zip(measured.tolist(), noise * np.random.default_rng(1).normal(size=(len(stamps), 3)), strict=True))
+    sent = joint_messages(measured, velocity=True)
+    return [
+        replace(message, stamp=int(stamp), position=message.position + errors[when])
+        for message, stamp, when in zip(sent, stamps, measured.tolist(), strict=True)
+    ]
+
+
+SOURCES = {"slower": (0.0340, 1 / 30), "faster": (0.0327, 1 / 30), "much faster": (0.01, 1 / 30)}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_samples_move_as_measured_whenever_messages_were_published(source: str) -> None:
+    """Accelerations are as far from the truth as those of a source that stamps its messages itself, nearly. From the
+    stamps alone they are several times as far."""
+    messages = republished(*SOURCES[source])
+
+    def error(sent: list[JointMessage]) -> tuple[float, bool]:
+        target = SignalPipeline(JOINTS, settings=SignalSettings(cutoff=4.0))
+        samples = feed(target, sent)
+        later = samples.select(samples.stamps > START + 10_000 * MS)
+        # The age of the latest measurement is unknown, but for its changes: the truth may be so much earlier.
+        ages = np.arange(0, 40 * MS, MS)
+        apart = [later.acceleration - Motion().derivative(later.stamps - age, 2) for age in ages]
+        return min(float(np.sqrt(np.mean(one**2))) for one in apart), LATE in target.ledger.topics[JOINT_STATES].noted
+
+    found, noted = error(messages)
+    by_stamps, without_velocities = error([replace(message, velocity=()) for message in messages])
+    assert noted
+    assert not without_velocities
+    assert found < by_stamps / 3.0
+
+
+def test_times_from_the_motion_do_not_depend_on_blocks() -> None:
+    """They increase, also where messages come at once, stand for a pause, or lack a velocity."""
+    messages = republished(0.034, 1 / 30)
+    position, velocity = (np.array([getattr(m, key) for m in messages]) for key in ("position", "velocity"))
+    stamps = np.array([message.stamp for message in messages])
+    stamps[300:310] = stamps[300] + np.arange(10)
+    stamps[600:] += 5_000 * MS
+    velocity[700:720, 1] = np.nan
+    expected = MotionClock(3, 500 * MS).times(stamps, position, velocity)
+    assert np.all(np.diff(expected) > 0)
+    assert np.any(expected != stamps)
+    for size in (1, 7, 400):
+        clock = MotionClock(3, 500 * MS)
+        parts = [slice(begin, begin + size) for begin in range(0, len(stamps), size)]
+        times = [clock.times(stamps[part], position[part], velocity[part]) for part in parts]
+        np.testing.assert_array_equal(np.concatenate(times), expected)
+
+
+WRONG_VELOCITIES = {
+    "none": lambda v: v,
+    "late": lambda v: np.roll(v, 3, axis=0),
+    "degrees": np.degrees,
+    "half": lambda v: 0.5 * v,
+    "one reversed": lambda v: v * [1, -1, 1],
+    "noisy": lambda v: v + 0.02 * np.random.default_rng(2).normal(size=v.shape),
+}
+WRONG_POSITIONS = {
+    "none": lambda p: p,
+    "noisy": lambda p: p + 1e-3 * np.random.default_rng(3).normal(size=p.shape),
+    "coarse": lambda p: 1e-3 * np.rint(1e3 * p),
+}
+MOVING = {"all": np.eye(3), "alike": np.outer([1, 0, 0], [1, 2, 3]), "one": np.diag([0, 1, 0])}
+
+
+@pytest.mark.parametrize("moving", MOVING)
+@pytest.mark.parametrize("positions", WRONG_POSITIONS)
+@pytest.mark.parametrize("velocities", WRONG_VELOCITIES)
+def test_right_stamps_are_kept_whatever_else_is_wrong(velocities: str, positions: str, moving: str) -> None:
+    stamps, motion = regular(0.01, 20.0), Motion()
+    position = WRONG_POSITIONS[positions](motion.derivative(stamps, 0) @ MOVING[moving])
+    velocity = WRONG_VELOCITIES[velocities](motion.derivative(stamps, 1) @ MOVING[moving])
+    clock = MotionClock(3, 500 * MS)
+    np.testing.assert_array_equal(clock.times(stamps, position, velocity), stamps)
+    assert not clock.is_used
