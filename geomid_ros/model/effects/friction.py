@@ -131,6 +131,8 @@ class StribeckFriction(JointEffect):
     contains = "coulomb_friction"
     is_dry_friction = True
     levels_off = True
+    positives = 2
+    column_positives = 1  # dry friction that sets in gradually is SaturatingFriction
 
     @classmethod
     def grid(cls) -> tuple[Effect, ...]:
@@ -146,16 +148,6 @@ class StribeckFriction(JointEffect):
     def parts(self) -> tuple[Effect, ...]:
         """Coulomb friction (the level), and itself (the excess)."""
         return CoulombFriction(self.smoothing), self
-
-    @property
-    def positives(self) -> int:
-        """2: level and excess."""
-        return 2
-
-    @property
-    def column_positives(self) -> int:
-        """1, the excess. (Dry friction that sets in gradually is :class:`SaturatingFriction`.)"""
-        return 1
 
     def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if the excess is many times the level."""
@@ -209,11 +201,7 @@ class LoadFriction(LoadEffect):
     settled_by = "the same motion with and without a known payload"
     drift = FRICTION_DRIFT
     largest = 1.0  # at 1 the gear transmits nothing
-
-    @property
-    def positives(self) -> int:
-        """1: friction dissipates energy, so the coefficient is positive."""
-        return 1
+    positives = 1  # friction dissipates energy
 
     def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
         return np.abs(load) * sign
