@@ -82,6 +82,12 @@ class Channel:
     topic: str = ""
     axis: str = ""
 
+    @staticmethod
+    def of_wrench(topic: str, axis: str, columns: IntArray) -> Channel:
+        """Return the channel of a wrench axis."""
+        unit = unit_of_axis(axis)
+        return Channel(name=wrench_channel(topic, axis), unit=unit, columns=columns, topic=topic, axis=axis)
+
 
 @dataclass(frozen=True)
 class ChannelLayout:
