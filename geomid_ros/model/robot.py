@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 
 import numpy as np
 import pinocchio as pin
@@ -103,17 +104,25 @@ class Robot:
         self.gravity = frozen(gravity)
         self.tree = urdf_tree.parse(urdf, source)
         self._first_joint = 2 if floating_base else 1
-        self._locked = self._with_followers(locked_joints)
+        masters = _masters(self.tree, source)
+        fixed = {*locked_joints, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
+        self._locked = {*locked_joints, *(name for name, (master, _, _) in masters.items() if master in fixed)}
+        """Joints to lock, including mimic joints whose master does not move."""
         self._model = self._without_locked(_build(urdf_tree.without_shapes(urdf, source), floating_base, source))
         self._model.gravity.linear = self.gravity
         self._data = self._model.createData()
         self.name = str(self._model.name)
         """Robot name in the URDF."""
         moving = self._moving_joints()
-        self.joints = tuple(joint for joint in moving if self._master(joint.name) is None)
+        self.joints = tuple(joint for joint in moving if joint.name not in masters)
         self.joint_names = tuple(joint.name for joint in self.joints)
         """Names of the moving joints, in the order of all joint arrays."""
-        self.mimic_joints = self._followers(moving)
+        self.mimic_joints = tuple(
+            MimicJoint(joint, self.joint_names.index(master), factor, offset)
+            for joint in moving
+            if joint.name in masters
+            for master, factor, offset in [masters[joint.name]]
+        )
         self.inertia_repairs: dict[str, str] = {}
         """Description of each repair to an inconsistent URDF inertia, by link."""
         self.bodies = self._bodies(set(cuts))
@@ -150,32 +159,6 @@ class Robot:
             for joint in urdf_tree.read_xml(self.urdf, self.source).findall("joint")
             for key in _DYNAMICS
         }
-
-    def _master(self, name: str) -> tuple[str, float, float] | None:
-        """Return the final master of a mimic joint, with the overall factor and offset; None if the joint is not a
-        mimic joint or its master does not exist."""
-        by_name = {joint.name: joint for joint in self.tree.joints}
-        factor, offset, joint = 1.0, 0.0, by_name[name]
-        for _ in self.tree.joints:
-            if joint.mimic is None or joint.mimic.master not in by_name:
-                return (joint.name, factor, offset) if joint.name != name else None
-            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
-            joint = by_name[joint.mimic.master]
-        raise InputError(f"{self.source}: joint '{name}' mimics itself")
-
-    def _with_followers(self, locked: Sequence[str]) -> frozenset[str]:
-        """Return the joints to lock, including mimic joints whose master does not move."""
-        fixed = {*locked, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
-        masters = {joint.name: self._master(joint.name) for joint in self.tree.joints if joint.type != "fixed"}
-        return frozenset([*locked, *(name for name, master in masters.items() if master and master[0] in fixed)])
-
-    def _followers(self, moving: Sequence[Joint]) -> tuple[MimicJoint, ...]:
-        masters = [(joint, self._master(joint.name)) for joint in moving]
-        return tuple(
-            MimicJoint(joint, self.joint_names.index(master[0]), *master[1:])
-            for joint, master in masters
-            if master is not None
-        )
 
     def _without_locked(self, model: pin.Model) -> pin.Model:
         indices = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
@@ -449,15 +432,21 @@ class Robot:
         link_frame = self._frame(frame)
         return self._data.oMi[link_frame.parentJoint] * link_frame.placement
 
+    def body_of(self, link: str) -> str | None:
+        """Return the body that a link, with or without mass, is part of or fixed to; None if there is none."""
+        heads = set(self._heads)
+        bodies = {member: name for name in self.body_names for member in self._rigid_group(name, heads)}
+        proximal = (joint.parent for joint in takewhile(self._is_fixed, self.tree.joints_above(link)))
+        return next((bodies[member] for member in (link, *proximal) if member in bodies), None)
+
     def carrier(self, frame: str) -> str:
         """Return the body that a link is fixed to. Raises InputError if the link does not exist or does not move."""
         if frame not in self.tree.links:
             raise unknown_name("link", frame, self.tree.links)
-        joint = self._frame(frame).parentJoint
-        bodies = [body.name for body in self.bodies if body.joint == joint]
-        if not bodies:
+        body = self.body_of(frame)
+        if body is None:
             raise InputError(f"{self.source}: link '{frame}' is not part of a moving body with mass")
-        return bodies[-1]
+        return body
 
     def fixed_placement(self, link: str, frame: str) -> FloatArray:
         """Return the homogeneous transform ``(4, 4)`` from a link's coordinates to ``frame``, which is fixed to it."""
@@ -542,6 +531,25 @@ class Robot:
             massive = joints[index, 0] > 0.0
             model.inertias[index] = pin.Inertia.FromDynamicParameters(joints[index]) if massive else pin.Inertia.Zero()
         return model
+
+
+def _masters(tree: urdf_tree.UrdfTree, source: str) -> dict[str, tuple[str, float, float]]:
+    """Return the final master of each mimic joint, with the overall factor and offset; without joints whose master does
+    not exist."""
+    by_name = {joint.name: joint for joint in tree.joints}
+    masters = {}
+    for first in (joint for joint in tree.joints if joint.type != "fixed"):
+        joint, factor, offset = first, 1.0, 0.0
+        for _ in tree.joints:
+            if joint.mimic is None or joint.mimic.master not in by_name:
+                break
+            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
+            joint = by_name[joint.mimic.master]
+        else:
+            raise InputError(f"{source}: joint '{first.name}' mimics itself")
+        if joint is not first:
+            masters[first.name] = joint.name, factor, offset
+    return masters
 
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:
