@@ -231,10 +231,9 @@ def _simulated_motion(
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate positions and velocities ``(N, J)`` under the commands, from the measured initial state."""
     samples = part.stretch.samples
-    simulation = WindowSimulation(robot, Windows.one_window(part.stretch))
-    driving = _driving(part, controller, robot, simulation)
-    with robot.in_closed_loop(controller.stiffness, controller.damping, controller.explains_efforts):
-        simulated = simulation.run(driving_efforts=driving)
+    closed = robot.in_closed_loop(controller.stiffness, controller.damping, controller.explains_efforts)
+    simulation = WindowSimulation(closed, Windows.one_window(part.stretch))
+    simulated = simulation.run(driving_efforts=_driving(part, controller, robot, simulation))
     position, velocity = simulated.position[0], simulated.velocity[0]
     return np.vstack([samples.position[:1], position]), np.vstack([samples.velocity[:1], velocity])
 
