@@ -93,17 +93,9 @@ class MeasurementModel:
         joints, base = len(robot.joints) if self._efforts_usable else 0, len(AXES) if self.legs else 0
         self.layout = ChannelLayout.of(joints, self._row_sensors, base)
         self.places = EffectPlaces(
-            robot=robot,
-            links=self.body_names,
-            sensors=self._row_sensors,
-            layout=self.layout,
-            common=effects,
-            local=local_effects,
-            candidates=candidates,
-            link_side_joints=link_side_joints,
-            commanded=commanded,
+            robot=robot, links=self.body_names, sensors=self._row_sensors, layout=self.layout, commanded=commanded
         )
-        self.coefficients = self.places.coefficients()
+        self.coefficients = self.places.coefficients(effects, local_effects, candidates, link_side_joints)
         self._number()
         if not self.channels:
             raise InputError(
@@ -213,6 +205,7 @@ class MeasurementModel:
         self.dimension = first + len(self.coefficients)
         """Number of parameters D."""
         self._numbered = list(enumerate(self.coefficients, first))
+        self._reach = {place: self._reached(place) for place in {c.place for c in self.coefficients}}
         self.channels = tuple(self._channels())
         """Channels in the order of :attr:`layout`."""
 
@@ -251,14 +244,13 @@ class MeasurementModel:
     def _columns(self, channel: int, bodies: Sequence[int]) -> IntArray:
         """Return the parameters that a channel depends on: those of ``bodies`` and of the effects that reach it."""
         columns = [10 * index + k for index, body in enumerate(self.identified) if body in bodies for k in range(10)]
-        columns += [parameter for parameter, c in self._numbered if channel in self._reached(c.place)]
+        columns += [parameter for parameter, c in self._numbered if channel in self._reach[c.place]]
         return np.array(columns, dtype=np.int64)
 
     def _channels(self) -> Iterator[Channel]:
-        robot, layout = self.robot, self.layout
-        subtrees = {joint.name: robot.subtree(joint.child) for joint in robot.tree.joints}
-        for index, joint in zip(layout.efforts, robot.joints, strict=False):
-            columns = self._columns(index, subtrees[joint.name])
+        layout = self.layout
+        for index, joint in zip(layout.efforts, self.robot.joints, strict=False):
+            columns = self._columns(index, np.flatnonzero(self.robot.supports[index]).tolist())
             yield Channel(name=joint.name, unit=joint.unit, columns=columns, joint=index)
         for sensor, loaded in self._loaded:
             for index, axis in zip(layout.wrenches[sensor.topic], sensor.axes, strict=True):
