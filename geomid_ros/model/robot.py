@@ -186,18 +186,16 @@ class Robot:
         fixed = {joint.child for joint in self.tree.joints if self._is_fixed(joint)}
         if not self.floating_base:
             fixed.add(self.tree.root)
-        self._heads = [link for link in self.tree.links if link not in fixed or link in cuts]
-        bodies = [self._body(head, cuts) for head in self._heads]
+        heads = (link for link in self.tree.links if link not in fixed or link in cuts)
+        self._groups = {head: self._rigid_group(head, cuts) for head in heads}
+        bodies = [self._body(head, group) for head, group in self._groups.items()]
         return tuple(sorted((body for body in bodies if body is not None), key=lambda body: body.joint))
 
     @property
     def massless_links(self) -> tuple[str, ...]:
         """Moving links that are physical parts, not just frames, but have no mass, nor have the links fixed to them."""
-        groups = [self._rigid_group(head, set(self._heads)) for head in self._heads]
-        weightless = [group for group in groups if self.tree.inertials.keys().isdisjoint(group)]
-        return tuple(
-            group[0] for group in weightless if self.tree.physical_links & {*group} or self._has_extent(group[0])
-        )
+        weightless = {h: group for h, group in self._groups.items() if self.tree.inertials.keys().isdisjoint(group)}
+        return tuple(h for h, group in weightless.items() if self.tree.physical_links & {*group} or self._has_extent(h))
 
     def _has_extent(self, link: str) -> bool:
         """True if a moving link supports a joint away from its joint's origin, so it is a physical part."""
@@ -218,9 +216,8 @@ class Robot:
             group += [j.child for j in self.tree.children(member) if self._is_fixed(j) and j.child not in cuts]
         return group
 
-    def _body(self, head: str, cuts: set[str]) -> Body | None:
+    def _body(self, head: str, group: list[str]) -> Body | None:
         frame = self._frame(head)
-        group = self._rigid_group(head, cuts)
         massive = [link for link in group if link in self.tree.inertials]
         if not massive:
             return None
@@ -281,7 +278,7 @@ class Robot:
 
     def is_divided_at(self, link: str) -> bool:
         """True if a body begins at ``link``: it moves relative to its parent, or it is one of the cuts."""
-        return link in self._heads
+        return link in self._groups
 
     def subtree(self, frame: str) -> list[int]:
         """Return the indices of the bodies in the subtree of the link ``frame``, itself included."""
@@ -434,8 +431,7 @@ class Robot:
 
     def body_of(self, link: str) -> str | None:
         """Return the body that a link, with or without mass, is part of or fixed to; None if there is none."""
-        heads = set(self._heads)
-        bodies = {member: name for name in self.body_names for member in self._rigid_group(name, heads)}
+        bodies = {member: name for name in self.body_names for member in self._groups[name]}
         proximal = (joint.parent for joint in takewhile(self._is_fixed, self.tree.joints_above(link)))
         return next((bodies[member] for member in (link, *proximal) if member in bodies), None)
 

@@ -222,7 +222,8 @@ def _name(element: Element, source: str) -> str:
 
 
 def _joint(element: Element, source: str) -> UrdfJoint:
-    where = f"{source}: joint '{_name(element, source)}'"
+    name = _name(element, source)
+    where = f"{source}: joint '{name}'"
     parent, child = element.find("parent"), element.find("child")
     if parent is None or child is None:
         raise InputError(f"{where} lacks a parent or a child link")
@@ -236,9 +237,7 @@ def _joint(element: Element, source: str) -> UrdfJoint:
         read_numbers(element, "limit", ("effort", "velocity"), None, where)
         for key in ("lower", "upper"):
             read_numbers(element, "limit", (key,), [0.0], where)
-    return UrdfJoint(
-        element.get("name", ""), kind, parent.get("link", ""), child.get("link", ""), _mimic(element, where)
-    )
+    return UrdfJoint(name, kind, parent.get("link", ""), child.get("link", ""), _mimic(element, where))
 
 
 def _mimic(element: Element, where: str) -> Mimic | None:

@@ -42,11 +42,6 @@ class Windows:
         affordable = max(1, int(_MOST_STEPS * step / (intervals * segment.period)))
         return Windows(segment, starts[:: max(1, -(-len(starts) // affordable))], intervals)
 
-    @staticmethod
-    def one_window(segment: UniformSegment) -> Windows:
-        """Return a whole segment as one window."""
-        return Windows(segment, np.zeros(1, dtype=np.int64), len(segment.times) - 1)
-
     @property
     def samples(self) -> IntArray:
         """Indices of each window's samples after its start ``(W, intervals)``."""

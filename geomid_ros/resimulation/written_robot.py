@@ -172,25 +172,20 @@ class WrittenRobot:
         return error
 
     def gear_deflections(self, samples: Samples) -> FloatArray:
-        """Deflections ``(N, gears)`` of the hinges of ``gears`` while the joints move, without vibration."""
-        gears = list(self.gears)
-        elastic = self.model.jnt_stiffness[gears] > 0.0
-        stiffness = np.where(elastic, self.model.jnt_stiffness[gears], 1.0)
-        play = np.where(elastic, 0.0, self.model.jnt_range[gears, 1])
-        efforts = self._gear_efforts(samples)
-        return np.where(elastic, -efforts / stiffness, -play * np.sign(efforts))
-
-    def _gear_efforts(self, samples: Samples) -> FloatArray:
-        """Efforts ``(N, gears)`` that the hinges of ``gears`` transmit while the joints move, as if they were rigid."""
-        data = self.mujoco.MjData(self.model)
-        efforts = np.zeros((len(samples), len(self.gears)))
+        """Deflections ``(N, gears)`` of the hinges of ``gears`` while the joints move, without vibration: under the
+        efforts that they would transmit if they were rigid."""
+        gears, data = list(self.gears), self.mujoco.MjData(self.model)
+        efforts = np.zeros((len(samples), len(gears)))
         for index in range(len(samples)):
             data.qpos[self.dofs] = samples.position[index]
             data.qvel[self.dofs] = samples.velocity[index]
             data.qacc[self.dofs] = samples.acceleration[index]
             self.mujoco.mj_inverse(self.model, data)
-            efforts[index] = data.qfrc_inverse[list(self.gears)]
-        return efforts
+            efforts[index] = data.qfrc_inverse[gears]
+        elastic = self.model.jnt_stiffness[gears] > 0.0
+        stiffness = np.where(elastic, self.model.jnt_stiffness[gears], 1.0)
+        play = np.where(elastic, 0.0, self.model.jnt_range[gears, 1])
+        return np.where(elastic, -efforts / stiffness, -play * np.sign(efforts))
 
     def rollout(
         self, position: FloatArray, velocity: FloatArray, efforts: FloatArray, step: float
