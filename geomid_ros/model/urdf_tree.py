@@ -203,14 +203,13 @@ def _root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: str) ->
     roots = [link for link in links if link not in moved_by]
     if len(roots) != 1:
         raise InputError(f"{source}: expected one root link, found {len(roots)}: {', '.join(roots) or 'none'}")
-    reached = set(roots)
-    for _ in joints:
-        reached |= {joint.child for joint in joints if joint.parent in reached}
-    for link in links:
-        if link not in reached:
-            raise InputError(
-                f"{source}: link '{link}' is in a loop of joints and not connected to the root '{roots[0]}'"
-            )
+    reached = list(roots)
+    for link in reached:
+        reached += [joint.child for joint in joints if joint.parent == link]
+    if looping := [link for link in links if link not in reached]:
+        raise InputError(
+            f"{source}: link '{looping[0]}' is in a loop of joints and not connected to the root '{roots[0]}'"
+        )
     return roots[0]
 
 

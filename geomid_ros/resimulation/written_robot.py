@@ -241,13 +241,10 @@ def load_mujoco() -> Any:
         mujoco = importlib.import_module("mujoco")
     except ImportError as error:
         raise InputError(f"MuJoCo is needed but cannot be imported ({error}): pip install mujoco") from error
-    # By default MuJoCo prints warnings and writes a MUJOCO_LOG.TXT to the user's folder; the errors show it better.
-    mujoco.set_mju_user_warning(_ignore_warning)
+    # By default MuJoCo prints warnings of runs that diverge, and writes a MUJOCO_LOG.TXT to the user's folder. Their
+    # errors show it better.
+    mujoco.set_mju_user_warning(lambda _: None)
     return mujoco
-
-
-def _ignore_warning(_: str) -> None:
-    """Ignore a warning, because MuJoCo warns of runs that diverge, and their errors show that."""
 
 
 @dataclass(frozen=True, eq=False)
