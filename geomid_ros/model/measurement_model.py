@@ -112,13 +112,12 @@ class MeasurementModel:
         return tuple(index for index, name in enumerate(names) if links is None or name in links)
 
     def _check_sensors(self) -> None:
+        frames = (*self.robot.tree.links, *(WORLD_FRAMES if self.robot.floating_base else ()))
         for sensor in self.sensors:
             if sensor.role == "mounted":
                 self._check_mounted(sensor)
-            elif sensor.frame not in self.robot.tree.links:
-                world = WORLD_FRAMES if self.robot.floating_base else ()
-                if sensor.frame not in world:
-                    raise unknown_name("frame of an external wrench", sensor.frame, (*self.robot.tree.links, *world))
+            elif sensor.frame not in frames:
+                raise unknown_name("frame of an external wrench", sensor.frame, frames)
         topics = [sensor.topic for sensor in self.sensors]
         if len(set(topics)) < len(topics):
             raise InputError(f"two wrench sensors have the same topic: {', '.join(topics)}")
