@@ -233,10 +233,7 @@ class _CoupledMotor(PairEffect):
         """Return both directions."""
         return cls(1.0), cls(-1.0)
 
-    @classmethod
-    def coarse_grid(cls) -> tuple[Effect, ...]:
-        """Return both directions."""
-        return cls.grid()
+    coarse_grid = grid
 
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
         effort = self.of_motor.column(JointMotion(first.states + self.ratio * second.states))

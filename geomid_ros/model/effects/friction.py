@@ -72,10 +72,7 @@ class CoulombFriction(JointEffect):
         """Return one for each of :data:`SMOOTHINGS`."""
         return tuple(cls(smoothing) for smoothing in SMOOTHINGS)
 
-    @classmethod
-    def coarse_grid(cls) -> tuple[Effect, ...]:
-        """Return the whole grid, because the shape of dry friction is not known beforehand."""
-        return cls.grid()
+    coarse_grid = grid  # the whole grid, because the shape of dry friction is not known beforehand
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.tanh(motion.velocity / self.smoothing)
@@ -302,10 +299,7 @@ class Presliding(JointEffect):
         """Return one for each of :data:`DISTANCES`."""
         return tuple(cls(distance) for distance in DISTANCES)
 
-    @classmethod
-    def coarse_grid(cls) -> tuple[Effect, ...]:
-        """Return the whole grid."""
-        return cls.grid()
+    coarse_grid = grid
 
     def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
         """True if the joint's dry friction is at least as large, up to drift, as the part that keeps its sign."""
