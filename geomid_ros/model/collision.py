@@ -102,7 +102,7 @@ class CollisionModel:
 
     def _reach(self, first: int, second: int) -> FloatArray:
         """Bound the relative speed of two shapes ``(nv,)``: for each joint between them, the longest lever from the
-        joint to the shape that it moves."""
+        joint to the shape that it moves, over the joints between them and the travel of those that slide."""
         model, bounds = self._model, np.zeros(self._model.nv)
         for shape, other in ((first, second), (second, first)):
             shared = model.supports[self._owners[other][1]]
@@ -110,18 +110,13 @@ class CollisionModel:
             for joint in reversed(model.supports[self._owners[shape][1]]):
                 if joint in shared:
                     break
-                slides = "JointModelP" in model.joints[joint].shortname()
-                bounds[model.joints[joint].idx_v] = 1.0 if slides else lever
-                lever += float(np.linalg.norm(model.jointPlacements[joint].translation)) + self._travel(joint)
+                own = model.joints[joint]
+                slides = "JointModelP" in own.shortname()
+                bounds[own.idx_v] = 1.0 if slides else lever
+                ends = model.lowerPositionLimit[own.idx_q], model.upperPositionLimit[own.idx_q]
+                travel = float(np.max(np.abs(ends))) if slides else 0.0
+                lever += float(np.linalg.norm(model.jointPlacements[joint].translation)) + travel
         return bounds
-
-    def _travel(self, joint: int) -> float:
-        """Return the largest distance from zero of a prismatic joint [m]; 0 for other joints."""
-        model = self._model.joints[joint]
-        if "JointModelP" not in model.shortname():
-            return 0.0
-        ends = self._model.lowerPositionLimit[model.idx_q], self._model.upperPositionLimit[model.idx_q]
-        return float(np.max(np.abs(ends)))
 
     @property
     def coupling_sizes(self) -> FloatArray:

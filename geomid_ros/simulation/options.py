@@ -15,7 +15,8 @@ from geomid_ros.options import Options, option
 LONGEST_STEP = 1e-3
 """[s] Longest integration step: dry friction stops a joint within a few milliseconds."""
 _STIFF_STEP = 2e-4  # [s] for a light rotor at an elastic gear
-_STIFF = {"joint_elasticity", "backlash"}
+GEARS = ("joint_elasticity", "backlash")
+"""Effects that add a second hinge behind a joint's motor."""
 MOTIONS = ("sines", "aperiodic", "points", "chirp")
 """Kinds of motion."""
 
@@ -122,7 +123,7 @@ class SimulationOptions(Options):
     @property
     def substeps(self) -> int:
         """Number of integration steps from one recorded sample to the next."""
-        stiff = any(request.effect in _STIFF for request in self.hide or ())
+        stiff = any(request.effect in GEARS for request in self.hide or ())
         longest = min(self.longest_step, _STIFF_STEP) if stiff else self.longest_step
         return math.ceil(1.0 / (self.rate * longest) - 1e-9)
 

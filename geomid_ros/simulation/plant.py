@@ -15,7 +15,6 @@ from geomid_ros.simulation.description import Description, LinkInertia, set_iner
 from geomid_ros.simulation.effects.physics import (
     FORCES,
     FRICTION,
-    GEARS,
     MODEL,
     STRUCTURE,
     Places,
@@ -23,6 +22,7 @@ from geomid_ros.simulation.effects.physics import (
     play_name,
     wind_up,
 )
+from geomid_ros.simulation.options import GEARS
 from geomid_ros.types import FloatArray, IntArray
 
 

@@ -17,9 +17,9 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, perturbed, read_description
 from geomid_ros.simulation.effects.effect_sizes import chosen_effects
-from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect, noiseless_measurement
+from geomid_ros.simulation.effects.physics import FRICTION, TrueEffect, noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
-from geomid_ros.simulation.options import LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
+from geomid_ros.simulation.options import GEARS, LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot, rounded
 from geomid_ros.simulation.robots import robot_description

@@ -155,8 +155,6 @@ MODEL = by_name(_viscous_friction, _rotor_inertia, _spring, _joint_elasticity, _
 
 
 _COM = ("com_x", "com_y", "com_z")
-GEARS = ("joint_elasticity", "backlash")
-"""Effects that add a second hinge behind a joint's motor."""
 
 
 def play_name(joint: str) -> str:
