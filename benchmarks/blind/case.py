@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
-from geomid_ros.simulation.effects.physics import GEARS
+from geomid_ros.simulation.options import GEARS
 
 OUTSIDE = ("cogging", "cable_force", "drift", "position_friction", "joint_coupling")
 """Effects that the workflow has no name for."""

@@ -11,7 +11,8 @@ import numpy as np
 from defusedxml import ElementTree as Reader
 
 from geomid_ros.simulation.description import Description, LinkInertia
-from geomid_ros.simulation.effects.physics import GEARS, TrueEffect, payload_inertia, play_name, rotation
+from geomid_ros.simulation.effects.physics import TrueEffect, payload_inertia, play_name, rotation
+from geomid_ros.simulation.options import GEARS
 from geomid_ros.simulation.plant import GRAVITY, Simulator
 from geomid_ros.types import FloatArray
 
@@ -46,7 +47,6 @@ class DrakeRobot(Simulator):
         giving = {effect.joint for effect in effects if effect.name in GEARS}
         names = [name for joint in joints for name in (joint, play_name(joint)) if name == joint or joint in giving]
         super().__init__(names, joints, effects)
-        self._description = description
         self._limit = np.array([joint.effort for joint in description.joints])
         self._spread = np.array([[float(name in (joint, play_name(joint))) for name in names] for joint in joints])
         self._set_hinges(len(names))
@@ -74,9 +74,6 @@ class DrakeRobot(Simulator):
                 self._stiffness[at.play], self._damping[at.play] = values["stiffness"], values["damping"]
             if effect.name in GEARS:
                 self._rotor[at.joint] += values["rotor_inertia"]
-
-    def moves(self, link: str) -> bool:
-        return self._description.moved_by(link) is not None
 
     def acceleration(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
         self._effort = np.clip(effort, -self._limit, self._limit)

@@ -100,13 +100,11 @@ def _are_alike(model: pin.Model, first: Body, second: Body, mirror: FloatArray) 
     points = (ONE_BODY.point(pseudo_inertia.to_parameters(matrix)) for matrix in matrices)
     if ONE_BODY.distance(*points) > ALIKE_PRIOR_STD:
         return False
-    origins = [[p.translation for p in _carried(model, body.joint)] for body in (first, second)]
+    origins = [
+        [model.jointPlacements[child].translation for child in model.children[body.joint]] for body in (first, second)
+    ]
     if len(origins[0]) != len(origins[1]):
         return False
     return all(
         np.linalg.norm(mirror * a - b) <= ALIKE_PRIOR_STD * np.linalg.norm(b) for a, b in zip(*origins, strict=True)
     )
-
-
-def _carried(model: pin.Model, joint: int) -> list[pin.SE3]:
-    return [model.jointPlacements[other] for other in range(1, model.njoints) if model.parents[other] == joint]

@@ -71,7 +71,7 @@ class WrenchSensor:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Channel:
-    """One measured number: a ``joint``'s effort, or an ``axis`` of the wrench of a ``topic``.
+    """One measured number: a ``joint``'s effort, with the joint's name, or an ``axis`` of the wrench of a ``topic``.
 
     ``columns``: indices of the parameters that it can depend on."""
 
@@ -81,6 +81,12 @@ class Channel:
     joint: int | None = None
     topic: str = ""
     axis: str = ""
+
+    @staticmethod
+    def of_wrench(topic: str, axis: str, columns: IntArray) -> Channel:
+        """Return the channel of a wrench axis."""
+        name, unit = f"{topic.strip('/')}/{axis}", "N" if axis[0] == "f" else "N m"
+        return Channel(name=name, unit=unit, columns=columns, topic=topic, axis=axis)
 
 
 @dataclass(frozen=True)
@@ -104,16 +110,6 @@ class ChannelLayout:
 
 BASE = "base"
 """Name that stands for the topic in the channels of a floating base."""
-
-
-def unit_of_axis(axis: str) -> str:
-    """Return the unit of a wrench axis."""
-    return "N" if axis[0] == "f" else "N m"
-
-
-def wrench_channel(topic: str, axis: str) -> str:
-    """Return the channel name of a wrench axis. (An effort channel has the name of its joint.)"""
-    return f"{topic.strip('/')}/{axis}"
 
 
 def is_wrench_channel(channel: str) -> bool:

@@ -64,15 +64,11 @@ class Coefficient:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EffectPlaces:
-    """Places on a ``robot``, and the effects that act there.
+    """Places on a ``robot`` where effects act.
 
     Attributes:
         robot, links: the robot, and the names of its identified links.
         sensors, layout: predicted wrench sensors, and the channel layout.
-        common: effects that act at every place of their kind.
-        local: effects that act at one place only, by the name of the place.
-        candidates: effects that may act at every default place of their kind without a local effect of that name.
-        link_side_joints: names of the joints with effort sensors on the link side of the gear, unaffected by the motor.
         commanded: True if efforts are computed from commands, which may act late.
     """
 
@@ -80,10 +76,6 @@ class EffectPlaces:
     links: Sequence[str]
     sensors: Sequence[WrenchSensor]
     layout: ChannelLayout
-    common: Sequence[IdentifiedEffect]
-    local: Mapping[str, Sequence[IdentifiedEffect]]
-    candidates: Sequence[IdentifiedEffect]
-    link_side_joints: Collection[str]
     commanded: bool
 
     def of(self, effect: Effect) -> list[Place]:
@@ -137,35 +129,32 @@ class EffectPlaces:
         joints = joints_of(place)
         return bool(joints) and self.robot.joints[joints[0]].unit == "N"
 
-    def coefficients(self) -> tuple[Coefficient, ...]:
-        """Return the effects' coefficients at all places, positive ones first."""
-        effects = dict.fromkeys([*self.common, *chain.from_iterable(self.local.values()), *self.candidates])
-        entries = [
-            coefficient
-            for effect in effects
-            for place in self.of(effect)
-            if self._acts(effect, place) and self._is_measured(effect, place)
-            for coefficient in self._at(effect, place)
-        ]
+    def coefficients(
+        self,
+        common: Sequence[IdentifiedEffect],
+        local: Mapping[str, Sequence[IdentifiedEffect]],
+        candidates: Sequence[IdentifiedEffect],
+        link_side_joints: Collection[str],
+    ) -> tuple[Coefficient, ...]:
+        """Return the effects' coefficients at all places, positive ones first; the arguments are those of
+        :class:`~geomid_ros.model.measurement_model.MeasurementModel`."""
+        effects = dict.fromkeys([*common, *chain.from_iterable(local.values()), *candidates])
+        pairs = [(effect, place) for effect in effects for place in self.of(effect)]
+        entries: list[Coefficient] = []
+        for effect, place in pairs:
+            own = local.get(self.name(place), ())
+            everywhere = effect in common or (effect in candidates and self.is_default(place))
+            acts = effect in own or (everywhere and effect.name not in {other.name for other in own})
+            # A sensor on the link side of a gear does not show what acts before it.
+            joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
+            if acts and not (effect.before_gear and joints.intersection(link_side_joints)):
+                entries += self._at(effect, place, optional=effect not in (*common, *own))
         names = [effect.name for effect in effects]
         places = list(dict.fromkeys(coefficient.place for coefficient in entries))
         # Coefficients of one mechanism are adjacent, whatever the constants of their effects.
         return tuple(sorted(entries, key=lambda c: (not c.positive, names.index(c.effect.name), places.index(c.place))))
 
-    def _acts(self, effect: IdentifiedEffect, place: Place) -> bool:
-        """True if an effect is in the model at a place: it is local there, or it is common or a candidate and no local
-        effect has its name (with other constants)."""
-        local = self.local.get(self.name(place), ())
-        everywhere = effect in self.common or (effect in self.candidates and self.is_default(place))
-        return effect in local or (everywhere and effect.name not in {other.name for other in local})
-
-    def _is_measured(self, effect: IdentifiedEffect, place: Place) -> bool:
-        """False if an effect acts before a gear whose effort sensor is on the link side, which does not show it."""
-        joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
-        return not (effect.before_gear and joints.intersection(self.link_side_joints))
-
-    def _at(self, effect: IdentifiedEffect, place: Place) -> Iterator[Coefficient]:
-        name, sliding = self.name(place), self.slides(place)
+    def _at(self, effect: IdentifiedEffect, place: Place, *, optional: bool) -> Iterator[Coefficient]:
         forms = effect.column_parameters
         if isinstance(place, AtSensor):
             by_axis = {form.name: form for form in forms}
@@ -176,10 +165,10 @@ class EffectPlaces:
                 effect=effect,
                 place=place,
                 index=index,
-                place_name=name,
+                place_name=self.name(place),
                 parameter=form.name,
-                unit=form.units[sliding],
-                optional=effect not in self.common and effect not in self.local.get(name, ()),
+                unit=form.units[self.slides(place)],
+                optional=optional,
             )
 
     @property

@@ -102,38 +102,21 @@ class CollisionModel:
 
     def _reach(self, first: int, second: int) -> FloatArray:
         """Bound the relative speed of two shapes ``(nv,)``: for each joint between them, the longest lever from the
-        joint to the shape that it moves."""
-        one, other = self._chain(first), self._chain(second)
-        between = [joint for joint in (*one, *other) if (joint in one) != (joint in other)]
-        bounds = np.zeros(self._model.nv)
-        for joint in between:
-            chain, shape = (one, first) if joint in one else (other, second)
-            bounds[self._model.joints[joint].idx_v] = self._lever(joint, chain, self._owners[shape][2])
+        joint to the shape that it moves, over the joints between them and the travel of those that slide."""
+        model, bounds = self._model, np.zeros(self._model.nv)
+        for shape, other in ((first, second), (second, first)):
+            shared = model.supports[self._owners[other][1]]
+            lever = self._owners[shape][2]
+            for joint in reversed(model.supports[self._owners[shape][1]]):
+                if joint in shared:
+                    break
+                own = model.joints[joint]
+                slides = "JointModelP" in own.shortname()
+                bounds[own.idx_v] = 1.0 if slides else lever
+                ends = model.lowerPositionLimit[own.idx_q], model.upperPositionLimit[own.idx_q]
+                travel = float(np.max(np.abs(ends))) if slides else 0.0
+                lever += float(np.linalg.norm(model.jointPlacements[joint].translation)) + travel
         return bounds
-
-    def _chain(self, shape: int) -> list[int]:
-        """Return the joints that support a shape, nearest first."""
-        joint, chain = self._owners[shape][1], []
-        while joint:
-            chain.append(joint)
-            joint = self._model.parents[joint]
-        return chain
-
-    def _lever(self, joint: int, chain: Sequence[int], radius: float) -> float:
-        if "JointModelP" in self._model.joints[joint].shortname():
-            return 1.0
-        lever = radius
-        for other in chain[: chain.index(joint)]:
-            lever += float(np.linalg.norm(self._model.jointPlacements[other].translation)) + self._travel(other)
-        return lever
-
-    def _travel(self, joint: int) -> float:
-        """Return the largest distance from zero of a prismatic joint [m]; 0 for other joints."""
-        model = self._model.joints[joint]
-        if "JointModelP" not in model.shortname():
-            return 0.0
-        ends = self._model.lowerPositionLimit[model.idx_q], self._model.upperPositionLimit[model.idx_q]
-        return float(np.max(np.abs(ends)))
 
     @property
     def coupling_sizes(self) -> FloatArray:

@@ -122,22 +122,23 @@ class Entries:
         return Entries(tuple(c for c in self.columns if isinstance(c, JointColumn)), self.joints)
 
     @cached_property
-    def _groups(self) -> Mapping[Column | PairEffect, list[Column]]:
-        """Columns in groups: each alone, then the columns of each pair effect together."""
-        single: dict[Column | PairEffect, list[Column]] = {}
-        pairs: dict[Column | PairEffect, list[Column]] = {}
+    def _groups(self) -> tuple[list[Column], Mapping[PairEffect, list[Column]]]:
+        """Columns of pair effects, by effect, after all other columns."""
+        single: list[Column] = []
+        pairs: dict[PairEffect, list[Column]] = {}
         for column in self.columns:
             match column:
                 case PlacedColumn(PairEffect() as effect):
                     pairs.setdefault(effect, []).append(column)
                 case _:
-                    single[column] = [column]
-        return single | pairs
+                    single.append(column)
+        return single, pairs
 
     @cached_property
     def _spans(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
+        single, pairs = self._groups
         spans, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0
-        for group in self._groups.values():
+        for group in (*([column] for column in single), *pairs.values()):
             reached = [column.affected_joints(self.joints) for column in group]
             end = begin + sum(map(len, reached))
             for start, (column, joints) in enumerate(zip(group, reached, strict=True), begin):
@@ -152,21 +153,15 @@ class Entries:
     @cached_property
     def _pairs(self) -> list[tuple[list[PairEffect], IntArray]]:
         """Pair effects that act at the same pairs of joints, and these joints ``(2, columns)``."""
-        groups = [
-            (effect, [column.affected_joints(self.joints) for column in columns])
-            for effect, columns in self._groups.items()
-            if isinstance(effect, PairEffect)
-        ]
-        return [
-            ([effect for effect, _ in same], np.array(joints).T) for joints, same in groupby(groups, key=itemgetter(1))
-        ]
+        groups = [(effect, [self.of(column)[1] for column in columns]) for effect, columns in self._groups[1].items()]
+        same_joints = groupby(groups, key=itemgetter(1))
+        return [([effect for effect, _ in same], np.array(joints).T) for joints, same in same_joints]
 
     @cached_property
     def _single(self) -> list[tuple[Column, slice | list[int]]]:
         """All other columns, and the joints that each reaches: a full slice if it reaches all."""
-        columns = [column for column in self._groups if not isinstance(column, PairEffect)]
-        reached = [[*column.affected_joints(self.joints)] for column in columns]
-        return [(c, slice(None) if len(at) == self.joints else at) for c, at in zip(columns, reached, strict=True)]
+        reached = [(column, [*self.of(column)[1]]) for column in self._groups[0]]
+        return [(column, slice(None) if len(at) == self.joints else at) for column, at in reached]
 
 
 NO_ENTRIES = Entries((), 0)

@@ -4,6 +4,7 @@ regressors that is fast enough to run for every message."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -79,10 +80,7 @@ class Dynamics:
         self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
     ) -> Iterator[FloatArray]:
         """Yield finite-difference derivatives ``(6, joints)`` of a wrench by q, v and a, then ``(6, 3)`` by gravity."""
-
-        def wrench(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-            return _carried_wrench(model, data, frame, q, v, a)
-
+        wrench = partial(_carried_wrench, model, data, frame)
         steps = [STEP * velocities for velocities in self._coupling.T]
         zeros = np.zeros(model.nv)
         yield np.array(
@@ -113,9 +111,8 @@ def _carried_wrench(
     wrench = data.f[link_frame.parentJoint]
     if link_frame.parentJoint == 0:
         wrench = pin.Force.Zero()
-        for joint in range(1, model.njoints):
-            if model.parents[joint] == 0:
-                wrench += data.oMi[joint].act(data.f[joint])
+        for joint in model.children[0]:
+            wrench += data.oMi[joint].act(data.f[joint])
         base = model.inertias[0]
         wrench += pin.Force(base.mass * -model.gravity.linear, np.cross(base.mass * base.lever, -model.gravity.linear))
     return np.array(link_frame.placement.actInv(wrench).vector)

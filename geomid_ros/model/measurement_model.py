@@ -7,8 +7,7 @@ coefficients, then the real ones.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from copy import copy
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -25,15 +24,13 @@ from geomid_ros.model.channels import (
     Channel,
     ChannelLayout,
     WrenchSensor,
-    unit_of_axis,
-    wrench_channel,
 )
 from geomid_ros.model.coefficients import EffectPlaces, Mechanism
 from geomid_ros.model.columns import Column, Entries, affected_joints, column_of, entries_of
 from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, SensorEffect, joint_of
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import REST, SAMPLES_PER_PIECE, SIGN, SMOOTH_SIGN, Samples
+from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray, IntArray
 
 
@@ -96,17 +93,9 @@ class MeasurementModel:
         joints, base = len(robot.joints) if self._efforts_usable else 0, len(AXES) if self.legs else 0
         self.layout = ChannelLayout.of(joints, self._row_sensors, base)
         self.places = EffectPlaces(
-            robot=robot,
-            links=self.body_names,
-            sensors=self._row_sensors,
-            layout=self.layout,
-            common=effects,
-            local=local_effects,
-            candidates=candidates,
-            link_side_joints=link_side_joints,
-            commanded=commanded,
+            robot=robot, links=self.body_names, sensors=self._row_sensors, layout=self.layout, commanded=commanded
         )
-        self.coefficients = self.places.coefficients()
+        self.coefficients = self.places.coefficients(effects, local_effects, candidates, link_side_joints)
         self._number()
         if not self.channels:
             raise InputError(
@@ -123,13 +112,12 @@ class MeasurementModel:
         return tuple(index for index, name in enumerate(names) if links is None or name in links)
 
     def _check_sensors(self) -> None:
+        frames = (*self.robot.tree.links, *(WORLD_FRAMES if self.robot.floating_base else ()))
         for sensor in self.sensors:
             if sensor.role == "mounted":
                 self._check_mounted(sensor)
-            elif sensor.frame not in self.robot.tree.links:
-                world = WORLD_FRAMES if self.robot.floating_base else ()
-                if sensor.frame not in world:
-                    raise unknown_name("frame of an external wrench", sensor.frame, (*self.robot.tree.links, *world))
+            elif sensor.frame not in frames:
+                raise unknown_name("frame of an external wrench", sensor.frame, frames)
         topics = [sensor.topic for sensor in self.sensors]
         if len(set(topics)) < len(topics):
             raise InputError(f"two wrench sensors have the same topic: {', '.join(topics)}")
@@ -202,21 +190,23 @@ class MeasurementModel:
 
     def _replaced(self, **changes: Any) -> MeasurementModel:
         """Return a copy with changed attributes and everything that depends on them recomputed."""
-        model = copy(self)
-        for cached in ("columns", "_of_motion", "_of_loads", "_of_resistance", "_of_sensors", "usual_shapes"):
-            vars(model).pop(cached, None)
-        vars(model).update(changes)
-        model._number()  # noqa: SLF001 its own
+        model = object.__new__(MeasurementModel)
+        cached = {name for name, value in vars(MeasurementModel).items() if isinstance(value, cached_property)}
+        vars(model).update({name: value for name, value in vars(self).items() if name not in cached} | changes)
+        model._number()
         return model
 
     def _number(self) -> None:
         """Count the parameters and list those that each channel depends on."""
         self.positives = sum(coefficient.positive for coefficient in self.coefficients)
         """Number of positive effect coefficients; they come first."""
-        self.dimension = 10 * len(self.identified) + len(self.coefficients)
+        first = 10 * len(self.identified)
+        self.dimension = first + len(self.coefficients)
         """Number of parameters D."""
-        self._reach = [self._reached(c.place) for c in self.coefficients]
-        self.channels = (*self._joint_channels(), *self._wrench_channels(), *self._base_channels())
+        self._numbered = list(enumerate(self.coefficients, first))
+        self._reach = {place: self._reached(place) for place in {c.place for c in self.coefficients}}
+        self.channels = tuple(self._channels())
+        """Channels in the order of :attr:`layout`."""
 
     @property
     def nominal_inertias(self) -> FloatArray:
@@ -232,8 +222,7 @@ class MeasurementModel:
     def usual_shapes(self) -> dict[Mechanism, int]:
         """Index among the D parameters of each mechanism; of several instances of an effect, that of the first: the
         default if it acts everywhere, else the first of its grid."""
-        first = 10 * len(self.identified)
-        return {c.mechanism: first + k for k, c in reversed([*enumerate(self.coefficients)])}
+        return {c.mechanism: parameter for parameter, c in reversed(self._numbered)}
 
     @property
     def described_coefficients(self) -> FloatArray:
@@ -254,36 +243,19 @@ class MeasurementModel:
     def _columns(self, channel: int, bodies: Sequence[int]) -> IntArray:
         """Return the parameters that a channel depends on: those of ``bodies`` and of the effects that reach it."""
         columns = [10 * index + k for index, body in enumerate(self.identified) if body in bodies for k in range(10)]
-        first = 10 * len(self.identified)
-        columns += [first + k for k, reached in enumerate(self._reach) if channel in reached]
+        columns += [parameter for parameter, c in self._numbered if channel in self._reach[c.place]]
         return np.array(columns, dtype=np.int64)
 
-    def _joint_channels(self) -> list[Channel]:
-        subtrees = {joint.name: self.robot.subtree(joint.child) for joint in self.robot.tree.joints}
-        return [
-            Channel(name=joint.name, unit=joint.unit, columns=self._columns(index, subtrees[joint.name]), joint=index)
-            for index, joint in zip(self.layout.efforts, self.robot.joints, strict=False)
-        ]
-
-    def _wrench_channels(self) -> list[Channel]:
-        return [
-            Channel(
-                name=wrench_channel(sensor.topic, axis),
-                unit=unit_of_axis(axis),
-                columns=self._columns(index, self._loaded_bodies(sensor)),
-                topic=sensor.topic,
-                axis=axis,
-            )
-            for sensor in self._row_sensors
-            for index, axis in zip(self.layout.wrenches[sensor.topic], sensor.axes, strict=True)
-        ]
-
-    def _base_channels(self) -> list[Channel]:
-        every = np.arange(self.dimension)
-        return [
-            Channel(name=wrench_channel(BASE, axis), unit=unit_of_axis(axis), columns=every, topic=BASE, axis=axis)
-            for _, axis in zip(self.layout.base, AXES, strict=False)
-        ]
+    def _channels(self) -> Iterator[Channel]:
+        layout = self.layout
+        for index, joint in zip(layout.efforts, self.robot.joints, strict=False):
+            columns = self._columns(index, np.flatnonzero(self.robot.supports[index]).tolist())
+            yield Channel(name=joint.name, unit=joint.unit, columns=columns, joint=index)
+        for sensor, loaded in self._loaded:
+            for index, axis in zip(layout.wrenches[sensor.topic], sensor.axes, strict=True):
+                yield Channel.of_wrench(sensor.topic, axis, self._columns(index, loaded))
+        for axis in AXES[: len(layout.base)]:
+            yield Channel.of_wrench(BASE, axis, np.arange(self.dimension))
 
     @property
     def _row_sensors(self) -> list[WrenchSensor]:
@@ -297,8 +269,6 @@ class MeasurementModel:
 
     def rows(self, samples: Samples) -> Rows:
         """Compute the rows of N samples."""
-        if len(samples) <= SAMPLES_PER_PIECE:
-            return Rows(*self._rows(samples))
         coefficients = np.empty((len(samples), len(self.channels), self.dimension))
         targets = np.empty((len(samples), len(self.channels)))
         begin = 0
@@ -320,8 +290,11 @@ class MeasurementModel:
             targets[:, base] = 0.0
         for index, (q, v, a) in enumerate(zip(*motion, strict=True) if self.sensors else ()):
             self.robot.update_motion(q, v, a)
-            targets[index, :joints] += self._external_efforts(q, wrenches[index], joints)
-            self._fill_wrench_rows(wrenches[index], bodies[index], targets[index])
+            measured = dict(zip(self.sensors, wrenches[index], strict=False))
+            if joints:
+                efforts = (self.robot.frame_jacobian(q, s.frame).T @ measured[s] for s in self.external)
+                targets[index, :joints] += sum(efforts, np.zeros(joints))
+            self._fill_wrench_rows(measured, bodies[index], targets[index])
         coefficients, targets = self._assemble(samples, bodies, targets)
         if self.legs is not None:
             self.legs.eliminate(samples, np.array(base), coefficients, targets)
@@ -334,36 +307,28 @@ class MeasurementModel:
             wrenches[:, index, sensor.axis_indices] = sensor.sign * samples.wrenches[:, index, sensor.axis_indices]
         return wrenches
 
-    def _fill_wrench_rows(self, wrenches: FloatArray, bodies: FloatArray, targets: FloatArray) -> None:
+    def _fill_wrench_rows(
+        self, measured: Mapping[WrenchSensor, FloatArray], bodies: FloatArray, targets: FloatArray
+    ) -> None:
         """Fill in the rows ``(channels, bodies, 10)`` and targets ``(channels,)`` of the wrench sensors."""
         for sensor, loaded in self._loaded:
             channels, axes = self.layout.wrenches[sensor.topic], sensor.axis_indices
-            measured = self._total_external(wrenches) if sensor.role == "external" else self._wrench(sensor, wrenches)
-            bodies[channels], targets[channels] = self.robot.wrench_rows(loaded, sensor.frame)[axes], measured[axes]
+            wrench = self._total_external(measured) if sensor.role == "external" else measured[sensor]
+            bodies[channels], targets[channels] = self.robot.wrench_rows(loaded, sensor.frame)[axes], wrench[axes]
 
     @cached_property
     def _loaded(self) -> list[tuple[WrenchSensor, list[int]]]:
         """Sensors with rows, and the bodies that load each."""
         return [(sensor, self._loaded_bodies(sensor)) for sensor in self._row_sensors]
 
-    def _wrench(self, sensor: WrenchSensor, wrenches: FloatArray) -> FloatArray:
-        return np.asarray(wrenches[self.sensors.index(sensor)])
-
-    def _total_external(self, wrenches: FloatArray) -> FloatArray:
+    def _total_external(self, measured: Mapping[WrenchSensor, FloatArray]) -> FloatArray:
         """Sum the external wrenches in the frame of the first sensor, ``(6,)``."""
         first = self.robot.placement(self.external[0].frame)
         total = np.zeros(6)
         for sensor in self.external:
             move = first.actInv(self.robot.placement(sensor.frame)).toDualActionMatrix()
-            total += move @ self._wrench(sensor, wrenches)
+            total += move @ measured[sensor]
         return total
-
-    def _external_efforts(self, q: FloatArray, wrenches: FloatArray, joints: int) -> FloatArray:
-        """Return the joint efforts of the measured external wrenches, ``J^T w``, ``(joints,)``."""
-        efforts = np.zeros(joints)
-        for sensor in self.external if joints else ():
-            efforts += self.robot.frame_jacobian(q, sensor.frame).T @ self._wrench(sensor, wrenches)
-        return efforts
 
     def _assemble(self, samples: Samples, bodies: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
         first = 10 * len(self.identified)
@@ -373,13 +338,15 @@ class MeasurementModel:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
         entries, channels, parameters, entry_indices = self._of_motion
         coefficients[:, channels, parameters] = samples.values_of(entries)[:, entry_indices]
-        if self._of_loads:
+        by_load = [(p, c.effect, joint_of(c.place)) for p, c in self._numbered if isinstance(c.effect, LoadEffect)]
+        if by_load:
             loads, signs = self._loads(samples, bodies), samples.column(SIGN)
-            for load, (joints, parameters) in self._of_loads.items():
-                coefficients[:, joints, parameters] = load.column(loads[:, joints], signs[:, joints])
-        for (effect, place), (parameters, indices) in self._of_sensors.items():
-            axes = np.array(self._reached(place))[:, None]
-            coefficients[:, axes, parameters] = self._sensor_columns(samples, effect, place)[:, :, indices]
+            for parameter, effect, joint in by_load:
+                coefficients[:, joint, parameter] = effect.column(loads[:, joint], signs[:, joint])
+        for parameter, c in self._numbered:
+            if isinstance(c.effect, SensorEffect):
+                for channel, column in self.columns_of(samples, c.effect, c.place, c.index).items():
+                    coefficients[:, channel, parameter] = column
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
@@ -405,7 +372,7 @@ class MeasurementModel:
         entries = Entries(self.columns, len(self.layout.efforts))
         indices = [
             (joint, parameter, entries.at(column_of(c.effect, c.place), joint))
-            for parameter, c in enumerate(self.coefficients, 10 * len(self.identified))
+            for parameter, c in self._numbered
             if isinstance(c.effect, MotionEffect)
             for joint in self._reached(c.place)
         ]
@@ -417,24 +384,6 @@ class MeasurementModel:
         """Entries of the known resisting effects, and all joints' efforts per unit of each ``(entries, joints)``."""
         return entries_of(self.gear_effects, len(self.layout.efforts))
 
-    @cached_property
-    def _of_loads(self) -> dict[LoadEffect, IntArray]:
-        """Joints and parameters ``(2, n)`` of each load effect."""
-        indices: dict[LoadEffect, list[tuple[int, int]]] = {}
-        for parameter, c in enumerate(self.coefficients, 10 * len(self.identified)):
-            if isinstance(c.effect, LoadEffect):
-                indices.setdefault(c.effect, []).append((joint_of(c.place), parameter))
-        return {effect: np.array(pairs).T for effect, pairs in indices.items()}
-
-    @cached_property
-    def _of_sensors(self) -> dict[tuple[SensorEffect, Place], IntArray]:
-        """Parameters and coefficient indices ``(2, n)`` of each effect at a sensor."""
-        indices: dict[tuple[SensorEffect, Place], list[tuple[int, int]]] = {}
-        for parameter, c in enumerate(self.coefficients, 10 * len(self.identified)):
-            if isinstance(c.effect, SensorEffect):
-                indices.setdefault((c.effect, c.place), []).append((parameter, c.index))
-        return {key: np.array(pairs).T for key, pairs in indices.items()}
-
     def columns_of(
         self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int
     ) -> dict[int, FloatArray]:
@@ -443,7 +392,7 @@ class MeasurementModel:
         if isinstance(effect, MotionEffect):
             efforts = samples.column(column_of(effect, place))
             return {channel: efforts[:, channel] for channel in channels}
-        columns = self._sensor_columns(samples, effect, place)[:, :, index]
+        columns = effect.columns(samples.motion, [self.channels[channel].axis for channel in channels])[:, :, index]
         return {channel: column for channel, column in zip(channels, columns.T, strict=True) if np.any(column)}
 
     def eliminate_ground(self, samples: Samples, columns: Iterable[dict[int, FloatArray]]) -> None:
@@ -456,10 +405,6 @@ class MeasurementModel:
                     ground[standing] = np.nan_to_num(onto_base[:, :, index]) * column[joints[index]][standing, None]
                     for channel, of_axis in zip(self.layout.base, ground.T, strict=True):
                         column[channel] = column.get(channel, 0.0) - of_axis
-
-    def _sensor_columns(self, samples: Samples, effect: SensorEffect, place: Place) -> FloatArray:
-        """Return a sensor effect's columns ``(N, axes, coefficients)``: reading per unit of each coefficient."""
-        return effect.columns(samples.motion, [self.channels[channel].axis for channel in self._reached(place)])
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 
 import numpy as np
 import pinocchio as pin
@@ -103,17 +104,25 @@ class Robot:
         self.gravity = frozen(gravity)
         self.tree = urdf_tree.parse(urdf, source)
         self._first_joint = 2 if floating_base else 1
-        self._locked = self._with_followers(locked_joints)
+        masters = _masters(self.tree, source)
+        fixed = {*locked_joints, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
+        self._locked = {*locked_joints, *(name for name, (master, _, _) in masters.items() if master in fixed)}
+        """Joints to lock, including mimic joints whose master does not move."""
         self._model = self._without_locked(_build(urdf_tree.without_shapes(urdf, source), floating_base, source))
         self._model.gravity.linear = self.gravity
         self._data = self._model.createData()
         self.name = str(self._model.name)
         """Robot name in the URDF."""
         moving = self._moving_joints()
-        self.joints = tuple(joint for joint in moving if self._master(joint.name) is None)
+        self.joints = tuple(joint for joint in moving if joint.name not in masters)
         self.joint_names = tuple(joint.name for joint in self.joints)
         """Names of the moving joints, in the order of all joint arrays."""
-        self.mimic_joints = self._followers(moving)
+        self.mimic_joints = tuple(
+            MimicJoint(joint, self.joint_names.index(master), factor, offset)
+            for joint in moving
+            if joint.name in masters
+            for master, factor, offset in [masters[joint.name]]
+        )
         self.inertia_repairs: dict[str, str] = {}
         """Description of each repair to an inconsistent URDF inertia, by link."""
         self.bodies = self._bodies(set(cuts))
@@ -151,32 +160,6 @@ class Robot:
             for key in _DYNAMICS
         }
 
-    def _master(self, name: str) -> tuple[str, float, float] | None:
-        """Return the final master of a mimic joint, with the overall factor and offset; None if the joint is not a
-        mimic joint or its master does not exist."""
-        by_name = {joint.name: joint for joint in self.tree.joints}
-        factor, offset, joint = 1.0, 0.0, by_name[name]
-        for _ in self.tree.joints:
-            if joint.mimic is None or joint.mimic.master not in by_name:
-                return (joint.name, factor, offset) if joint.name != name else None
-            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
-            joint = by_name[joint.mimic.master]
-        raise InputError(f"{self.source}: joint '{name}' mimics itself")
-
-    def _with_followers(self, locked: Sequence[str]) -> frozenset[str]:
-        """Return the joints to lock, including mimic joints whose master does not move."""
-        fixed = {*locked, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
-        masters = {joint.name: self._master(joint.name) for joint in self.tree.joints if joint.type != "fixed"}
-        return frozenset([*locked, *(name for name, master in masters.items() if master and master[0] in fixed)])
-
-    def _followers(self, moving: Sequence[Joint]) -> tuple[MimicJoint, ...]:
-        masters = [(joint, self._master(joint.name)) for joint in moving]
-        return tuple(
-            MimicJoint(joint, self.joint_names.index(master[0]), *master[1:])
-            for joint, master in masters
-            if master is not None
-        )
-
     def _without_locked(self, model: pin.Model) -> pin.Model:
         indices = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
         for name in sorted(self._locked):
@@ -203,18 +186,16 @@ class Robot:
         fixed = {joint.child for joint in self.tree.joints if self._is_fixed(joint)}
         if not self.floating_base:
             fixed.add(self.tree.root)
-        self._heads = [link for link in self.tree.links if link not in fixed or link in cuts]
-        bodies = [self._body(head, cuts) for head in self._heads]
+        heads = (link for link in self.tree.links if link not in fixed or link in cuts)
+        self._groups = {head: self._rigid_group(head, cuts) for head in heads}
+        bodies = [self._body(head, group) for head, group in self._groups.items()]
         return tuple(sorted((body for body in bodies if body is not None), key=lambda body: body.joint))
 
     @property
     def massless_links(self) -> tuple[str, ...]:
         """Moving links that are physical parts, not just frames, but have no mass, nor have the links fixed to them."""
-        groups = [self._rigid_group(head, set(self._heads)) for head in self._heads]
-        weightless = [group for group in groups if self.tree.inertials.keys().isdisjoint(group)]
-        return tuple(
-            group[0] for group in weightless if self.tree.physical_links & {*group} or self._has_extent(group[0])
-        )
+        weightless = {h: group for h, group in self._groups.items() if self.tree.inertials.keys().isdisjoint(group)}
+        return tuple(h for h, group in weightless.items() if self.tree.physical_links & {*group} or self._has_extent(h))
 
     def _has_extent(self, link: str) -> bool:
         """True if a moving link supports a joint away from its joint's origin, so it is a physical part."""
@@ -235,9 +216,8 @@ class Robot:
             group += [j.child for j in self.tree.children(member) if self._is_fixed(j) and j.child not in cuts]
         return group
 
-    def _body(self, head: str, cuts: set[str]) -> Body | None:
+    def _body(self, head: str, group: list[str]) -> Body | None:
         frame = self._frame(head)
-        group = self._rigid_group(head, cuts)
         massive = [link for link in group if link in self.tree.inertials]
         if not massive:
             return None
@@ -298,7 +278,7 @@ class Robot:
 
     def is_divided_at(self, link: str) -> bool:
         """True if a body begins at ``link``: it moves relative to its parent, or it is one of the cuts."""
-        return link in self._heads
+        return link in self._groups
 
     def subtree(self, frame: str) -> list[int]:
         """Return the indices of the bodies in the subtree of the link ``frame``, itself included."""
@@ -449,15 +429,20 @@ class Robot:
         link_frame = self._frame(frame)
         return self._data.oMi[link_frame.parentJoint] * link_frame.placement
 
+    def body_of(self, link: str) -> str | None:
+        """Return the body that a link, with or without mass, is part of or fixed to; None if there is none."""
+        bodies = {member: name for name in self.body_names for member in self._groups[name]}
+        proximal = (joint.parent for joint in takewhile(self._is_fixed, self.tree.joints_above(link)))
+        return next((bodies[member] for member in (link, *proximal) if member in bodies), None)
+
     def carrier(self, frame: str) -> str:
         """Return the body that a link is fixed to. Raises InputError if the link does not exist or does not move."""
         if frame not in self.tree.links:
             raise unknown_name("link", frame, self.tree.links)
-        joint = self._frame(frame).parentJoint
-        bodies = [body.name for body in self.bodies if body.joint == joint]
-        if not bodies:
+        body = self.body_of(frame)
+        if body is None:
             raise InputError(f"{self.source}: link '{frame}' is not part of a moving body with mass")
-        return bodies[-1]
+        return body
 
     def fixed_placement(self, link: str, frame: str) -> FloatArray:
         """Return the homogeneous transform ``(4, 4)`` from a link's coordinates to ``frame``, which is fixed to it."""
@@ -542,6 +527,25 @@ class Robot:
             massive = joints[index, 0] > 0.0
             model.inertias[index] = pin.Inertia.FromDynamicParameters(joints[index]) if massive else pin.Inertia.Zero()
         return model
+
+
+def _masters(tree: urdf_tree.UrdfTree, source: str) -> dict[str, tuple[str, float, float]]:
+    """Return the final master of each mimic joint, with the overall factor and offset; without joints whose master does
+    not exist."""
+    by_name = {joint.name: joint for joint in tree.joints}
+    masters = {}
+    for first in (joint for joint in tree.joints if joint.type != "fixed"):
+        joint, factor, offset = first, 1.0, 0.0
+        for _ in tree.joints:
+            if joint.mimic is None or joint.mimic.master not in by_name:
+                break
+            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
+            joint = by_name[joint.mimic.master]
+        else:
+            raise InputError(f"{source}: joint '{first.name}' mimics itself")
+        if joint is not first:
+            masters[first.name] = joint.name, factor, offset
+    return masters
 
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:

@@ -203,14 +203,13 @@ def _root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: str) ->
     roots = [link for link in links if link not in moved_by]
     if len(roots) != 1:
         raise InputError(f"{source}: expected one root link, found {len(roots)}: {', '.join(roots) or 'none'}")
-    reached = set(roots)
-    for _ in joints:
-        reached |= {joint.child for joint in joints if joint.parent in reached}
-    for link in links:
-        if link not in reached:
-            raise InputError(
-                f"{source}: link '{link}' is in a loop of joints and not connected to the root '{roots[0]}'"
-            )
+    reached = list(roots)
+    for link in reached:
+        reached += [joint.child for joint in joints if joint.parent == link]
+    if looping := [link for link in links if link not in reached]:
+        raise InputError(
+            f"{source}: link '{looping[0]}' is in a loop of joints and not connected to the root '{roots[0]}'"
+        )
     return roots[0]
 
 
@@ -222,7 +221,8 @@ def _name(element: Element, source: str) -> str:
 
 
 def _joint(element: Element, source: str) -> UrdfJoint:
-    where = f"{source}: joint '{_name(element, source)}'"
+    name = _name(element, source)
+    where = f"{source}: joint '{name}'"
     parent, child = element.find("parent"), element.find("child")
     if parent is None or child is None:
         raise InputError(f"{where} lacks a parent or a child link")
@@ -236,9 +236,7 @@ def _joint(element: Element, source: str) -> UrdfJoint:
         read_numbers(element, "limit", ("effort", "velocity"), None, where)
         for key in ("lower", "upper"):
             read_numbers(element, "limit", (key,), [0.0], where)
-    return UrdfJoint(
-        element.get("name", ""), kind, parent.get("link", ""), child.get("link", ""), _mimic(element, where)
-    )
+    return UrdfJoint(name, kind, parent.get("link", ""), child.get("link", ""), _mimic(element, where))
 
 
 def _mimic(element: Element, where: str) -> Mimic | None:

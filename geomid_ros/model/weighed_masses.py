@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, takewhile
 
 import numpy as np
 
@@ -114,7 +113,7 @@ def _body(robot: Robot, link: str) -> int:
         return names.index(link)
     if link not in robot.tree.links:
         raise unknown_name("link of a weighed mass", link, (*names, TOTAL))
-    carrier = _carrier(robot, link)
+    carrier = robot.body_of(link)
     if carrier is not None:
         raise InputError(
             f"the mass of link '{link}' is given, but it is fixed to '{carrier}' and identified as one body with it: "
@@ -123,13 +122,6 @@ def _body(robot: Robot, link: str) -> int:
     raise InputError(
         f"the mass of link '{link}' is given, but it is not identified: it does not move, or has no mass in the URDF"
     )
-
-
-def _carrier(robot: Robot, link: str) -> str | None:
-    """Return the body that a link belongs to, whether the link has a mass or not; None if there is none."""
-    merged = (body.name for body in robot.bodies if link in body.merged)
-    fixed = takewhile(lambda joint: joint.type == "fixed", robot.tree.joints_above(link))
-    return next(chain(merged, (joint.parent for joint in fixed if joint.parent in robot.body_names)), None)
 
 
 def _known_mass(model: MeasurementModel, given: WeighedMass, bodies: Sequence[int]) -> float:

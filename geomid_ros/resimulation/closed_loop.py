@@ -104,7 +104,10 @@ def resimulate_closed_loop(
     """
     parts, robots, controller = _prepared(model, (before, after), recordings, commands)
     joints = model.robot.joint_names
-    traces = [_simulated(part, controller, *robots) for part in parts]
+    traces = []
+    for part in parts:
+        simulated = (_simulated_effort(part, controller, robot) for robot in robots)
+        traces.append(SimulatedEfforts(part.stretch.times, part.stretch.samples.effort, *simulated))
     floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
     evaluated = controller.explains_efforts & (floor > 0.0)
 
@@ -213,12 +216,6 @@ def _undelayed_efforts(stretch: UniformSegment, robot: WrittenRobot) -> FloatArr
     return np.where(np.all(np.isfinite(effort), axis=0), shifted, np.nan)
 
 
-def _simulated(part: _Commanded, controller: FittedController, *robots: WrittenRobot) -> SimulatedEfforts:
-    """Efforts of a segment, measured and simulated with the robots before and after the findings."""
-    efforts = (_simulated_effort(part, controller, robot) for robot in robots)
-    return SimulatedEfforts(part.stretch.times, part.stretch.samples.effort, *efforts)
-
-
 def _simulated_effort(part: _Commanded, controller: FittedController, robot: WrittenRobot) -> FloatArray:
     """Simulated efforts ``(N, J)`` as the sensors would show them."""
     times = part.stretch.times
@@ -231,10 +228,10 @@ def _simulated_motion(
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate positions and velocities ``(N, J)`` under the commands, from the measured initial state."""
     samples = part.stretch.samples
-    simulation = WindowSimulation(robot, Windows.one_window(part.stretch))
-    driving = _driving(part, controller, robot, simulation)
-    with robot.in_closed_loop(controller.stiffness, controller.damping, controller.explains_efforts):
-        simulated = simulation.run(driving_efforts=driving)
+    closed = robot.in_closed_loop(controller.stiffness, controller.damping, controller.explains_efforts)
+    whole = Windows(part.stretch, starts=np.zeros(1, dtype=np.int64), intervals=len(samples) - 1)
+    simulation = WindowSimulation(closed, whole)
+    simulated = simulation.run(driving_efforts=_driving(part, controller, robot, simulation))
     position, velocity = simulated.position[0], simulated.velocity[0]
     return np.vstack([samples.position[:1], position]), np.vstack([samples.velocity[:1], velocity])
 

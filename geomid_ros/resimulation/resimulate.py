@@ -42,11 +42,6 @@ class Windows:
         affordable = max(1, int(_MOST_STEPS * step / (intervals * segment.period)))
         return Windows(segment, starts[:: max(1, -(-len(starts) // affordable))], intervals)
 
-    @staticmethod
-    def one_window(segment: UniformSegment) -> Windows:
-        """Return a whole segment as one window."""
-        return Windows(segment, np.zeros(1, dtype=np.int64), len(segment.times) - 1)
-
     @property
     def samples(self) -> IntArray:
         """Indices of each window's samples after its start ``(W, intervals)``."""
@@ -158,8 +153,7 @@ class WindowErrors:
     def __init__(self, model: MeasurementModel, noise: ResidualNoise) -> None:
         self.names = [channel.name for channel in model.channels]
         self._joints = len(model.robot.joints)
-        self._sensors = model.mounted
-        self._all_sensors = model.sensors
+        self._sensors = {sensor: model.sensors.index(sensor) for sensor in model.mounted}
         self._noise = noise.only(self.names)
 
     def measured_wrenches(self, parts: Sequence[UniformSegment]) -> BoolArray:
@@ -171,7 +165,7 @@ class WindowErrors:
         return np.concatenate([np.zeros(0, dtype=bool), *columns])
 
     def _measured(self, stretch: UniformSegment, sensor: WrenchSensor) -> FloatArray:
-        measured = stretch.samples.wrenches[:, self._all_sensors.index(sensor), sensor.axis_indices]
+        measured = stretch.samples.wrenches[:, self._sensors[sensor], sensor.axis_indices]
         return np.asarray(sensor.sign * measured)
 
     def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: WindowStates) -> FloatArray:
@@ -308,20 +302,25 @@ def resimulate(
         InputError: The files cannot be read.
         NotSimulatedError: This robot or recording cannot be simulated so.
     """
-    if reason := _why_not(model, recordings):
-        raise NotSimulatedError(reason)
+    if model.robot.floating_base:
+        raise NotSimulatedError(FLOATING_BASE_REASON)
+    if model.external:
+        raise NotSimulatedError("external loads act on the robot, which the written models do not contain")
     parts = uniform_segments(recordings)
+    if not parts:
+        raise NotSimulatedError("the recording is too short")
     efforts, evaluated = np.concatenate([part.samples.effort for part in parts]), _evaluated_joints(parts)
+    if not np.any(evaluated):
+        raise NotSimulatedError("no joint moves and has a measured effort")
     robots = loaded_robots((before, after), model.robot.joint_names, efforts)
     for robot in robots:
         robot.prescribe(~evaluated)
     errors = WindowErrors(model, noise)
-    runs = [_simulated(part, errors, *robots) for part in parts]
-    floor = root_mean_square([run.noise for run in runs])
+    of_before, of_after, of_noise = zip(*(_errors(part, errors, *robots) for part in parts), strict=True)
+    floor = root_mean_square(of_noise)
     usable = np.concatenate([evaluated, errors.measured_wrenches(parts)]) & (floor > 0.0)
     in_noise = partial(in_units, floor, errors.names, usable)
-    of_before, of_after = in_noise([run.before for run in runs]), in_noise([run.after for run in runs])
-    return Resimulated(kind="windows", before=of_before, after=of_after)
+    return Resimulated(kind="windows", before=in_noise(of_before), after=in_noise(of_after))
 
 
 def in_units(
@@ -333,36 +332,19 @@ def in_units(
     return {name: ratio for name, ratio, is_known in zip(names, ratios.tolist(), known, strict=True) if is_known}
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """Errors of a segment's windows, each ``(W, channels)``, and the changes due to noise ``(draws W, channels)``."""
-
-    before: FloatArray
-    after: FloatArray
-    noise: FloatArray
-
-
-def _simulated(stretch: UniformSegment, errors: WindowErrors, before: WrittenRobot, after: WrittenRobot) -> _Run:
+def _errors(
+    stretch: UniformSegment, errors: WindowErrors, before: WrittenRobot, after: WrittenRobot
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the errors of a segment's windows with the robots before and after the findings, ``(W, channels)`` each,
+    and the changes due to noise ``(draws W, channels)``."""
     windows = Windows.of(stretch, min(before.step, after.step))
     simulation_before, simulation_after = WindowSimulation(before, windows), WindowSimulation(after, windows)
     run_after = simulation_after.run()
-    return _Run(
+    return (
         errors.of(windows, simulation_before.instants, before, simulation_before.run()),
         errors.of(windows, simulation_after.instants, after, run_after),
         errors.of_noise(simulation_after, after, run_after),
     )
-
-
-def _why_not(model: MeasurementModel, recordings: Sequence[Samples]) -> str:
-    if model.robot.floating_base:
-        return FLOATING_BASE_REASON
-    if any(sensor.role == "external" for sensor in model.sensors):
-        return "external loads act on the robot, which the written models do not contain"
-    if not uniform_segments(recordings):
-        return "the recording is too short"
-    if not np.any(_evaluated_joints(uniform_segments(recordings))):
-        return "no joint moves and has a measured effort"
-    return ""
 
 
 def _evaluated_joints(parts: Sequence[UniformSegment]) -> BoolArray:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,11 @@ class WrittenRobot:
         """Read the files. Raises InputError naming the file."""
         self.joints = tuple(joints)
         self.mujoco = load_mujoco()
-        self.model = self._loaded(files.mjcf)
+        self.model = _compiled(files.mjcf)
+        if self.model.nq != self.model.njnt:
+            raise InputError(
+                f"{files.mjcf}: has joints of several axes, or a floating base, which cannot be resimulated"
+            )
         names = {self.model.joint(index).name: index for index in range(self.model.njnt)}
         for joint in joints:
             if joint not in names:
@@ -50,12 +54,6 @@ class WrittenRobot:
         self.model.jnt_limited[self.dofs] = 0
         self.model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
-    def _loaded(self, path: Path) -> Any:
-        model = _compiled(path)
-        if model.nq != model.njnt:
-            raise InputError(f"{path}: has joints of several axes, or a floating base, which cannot be resimulated")
-        return model
-
     def _read_effects(self, files: ModelFiles) -> None:
         """Read the effects that the MJCF lacks: of effort sensors, friction and wrench sensors."""
         count = len(self.joints)
@@ -64,17 +62,15 @@ class WrittenRobot:
         self._motion_effects: list[tuple[Effect, Place, Values]] = []
         self._sensor_effects: dict[str, list[tuple[SensorEffect, Values]]] = {}
         for entry in read_sidecar(files.effects).effects:
-            effect = effect_class(entry.effect).from_values(values_of(entry))
+            values = values_of(entry)
+            effect = effect_class(entry.effect).from_values(values)
             if isinstance(effect, SensorEffect):
-                self._sensor_effects.setdefault(entry.joint, []).append((effect, values_of(entry)))
+                self._sensor_effects.setdefault(entry.joint, []).append((effect, values))
             elif effect.place != "link":
-                self._add(effect, self._place(effect, entry.joint, files), values_of(entry))
-
-    def _place(self, effect: Effect, name: str, files: ModelFiles) -> Place:
-        place = place_named(effect.place, name, self.joints)
-        if place is None:
-            raise InputError(f"{files.effects}: {unknown_name('joint', name, self.joints)}")
-        return place
+                place = place_named(effect.place, entry.joint, self.joints)
+                if place is None:
+                    raise InputError(f"{files.effects}: {unknown_name('joint', entry.joint, self.joints)}")
+                self._add(effect, place, values)
 
     def _add(self, effect: Effect, place: Place, values: Values) -> None:
         self.delay += effect.effort_lag(values)
@@ -96,24 +92,19 @@ class WrittenRobot:
         self.model.dof_armature[self.dofs[joints]] = _IMMOVABLE
         self.mujoco.mj_setConst(self.model, self.mujoco.MjData(self.model))
 
-    @contextmanager
-    def in_closed_loop(self, stiffness: FloatArray, damping: FloatArray, controlled: BoolArray) -> Iterator[None]:
-        """Add a controller's springs and dampers ``(J,)`` at the joints, with set-points at zero. Joints that are not
-        ``controlled`` follow their measured motion."""
-        model, dofs = self.model, self.dofs
-        names = ("jnt_stiffness", "dof_damping", "dof_armature", "qpos_spring")
-        written = {name: getattr(model, name).copy() for name in names}
+    def in_closed_loop(self, stiffness: FloatArray, damping: FloatArray, controlled: BoolArray) -> WrittenRobot:
+        """Return a copy with a controller's springs and dampers ``(J,)`` at the joints, with set-points at zero. Joints
+        that are not ``controlled`` follow their measured motion."""
+        robot = copy(self)
+        robot.model, dofs = copy(self.model), self.dofs
+        model = robot.model
         total = model.jnt_stiffness[dofs] + stiffness
         torque = model.jnt_stiffness[dofs] * model.qpos_spring[dofs]
         model.qpos_spring[dofs] = np.divide(torque, total, out=np.zeros(len(dofs)), where=total != 0.0)
         model.jnt_stiffness[dofs] = total
         model.dof_damping[dofs] += damping
         model.dof_armature[dofs[~controlled]] = _IMMOVABLE
-        try:
-            yield
-        finally:
-            for name, values in written.items():
-                getattr(model, name)[:] = values
+        return robot
 
     def set_mean_load(self, true_effort: FloatArray) -> None:
         """Set the load friction of a joint at rest to that of its mean load in ``true_effort (N, J)``. Deviations of
@@ -181,25 +172,20 @@ class WrittenRobot:
         return error
 
     def gear_deflections(self, samples: Samples) -> FloatArray:
-        """Deflections ``(N, gears)`` of the hinges of ``gears`` while the joints move, without vibration."""
-        gears = list(self.gears)
-        elastic = self.model.jnt_stiffness[gears] > 0.0
-        stiffness = np.where(elastic, self.model.jnt_stiffness[gears], 1.0)
-        play = np.where(elastic, 0.0, self.model.jnt_range[gears, 1])
-        efforts = self._gear_efforts(samples)
-        return np.where(elastic, -efforts / stiffness, -play * np.sign(efforts))
-
-    def _gear_efforts(self, samples: Samples) -> FloatArray:
-        """Efforts ``(N, gears)`` that the hinges of ``gears`` transmit while the joints move, as if they were rigid."""
-        data = self.mujoco.MjData(self.model)
-        efforts = np.zeros((len(samples), len(self.gears)))
+        """Deflections ``(N, gears)`` of the hinges of ``gears`` while the joints move, without vibration: under the
+        efforts that they would transmit if they were rigid."""
+        gears, data = list(self.gears), self.mujoco.MjData(self.model)
+        efforts = np.zeros((len(samples), len(gears)))
         for index in range(len(samples)):
             data.qpos[self.dofs] = samples.position[index]
             data.qvel[self.dofs] = samples.velocity[index]
             data.qacc[self.dofs] = samples.acceleration[index]
             self.mujoco.mj_inverse(self.model, data)
-            efforts[index] = data.qfrc_inverse[list(self.gears)]
-        return efforts
+            efforts[index] = data.qfrc_inverse[gears]
+        elastic = self.model.jnt_stiffness[gears] > 0.0
+        stiffness = np.where(elastic, self.model.jnt_stiffness[gears], 1.0)
+        play = np.where(elastic, 0.0, self.model.jnt_range[gears, 1])
+        return np.where(elastic, -efforts / stiffness, -play * np.sign(efforts))
 
     def rollout(
         self, position: FloatArray, velocity: FloatArray, efforts: FloatArray, step: float
@@ -255,13 +241,10 @@ def load_mujoco() -> Any:
         mujoco = importlib.import_module("mujoco")
     except ImportError as error:
         raise InputError(f"MuJoCo is needed but cannot be imported ({error}): pip install mujoco") from error
-    # By default MuJoCo prints warnings and writes a MUJOCO_LOG.TXT to the user's folder; the errors show it better.
-    mujoco.set_mju_user_warning(_ignore_warning)
+    # By default MuJoCo prints warnings of runs that diverge, and writes a MUJOCO_LOG.TXT to the user's folder. Their
+    # errors show it better.
+    mujoco.set_mju_user_warning(lambda _: None)
     return mujoco
-
-
-def _ignore_warning(_: str) -> None:
-    """Ignore a warning, because MuJoCo warns of runs that diverge, and their errors show that."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,35 +51,38 @@ def write_bag(path: Path, trace: RunTrace, names: Sequence[str], urdf: str, opti
     the set-points' positions and velocities and the controller's feed-forward efforts.
     """
     with _new_bag(path, urdf) as writer:
-        states = _Topic(writer, "/joint_states", "sensor_msgs/msg/JointState")
-        commands = _Topic(writer, "/joint_commands", "sensor_msgs/msg/JointState") if options.commands else None
+        states = writer.topic("/joint_states", "sensor_msgs/msg/JointState")
+        commands = writer.topic("/joint_commands", "sensor_msgs/msg/JointState") if options.commands else None
         frame = options.wrench_frame
-        wrenches = _Topic(writer, WRENCH_TOPIC, "geometry_msgs/msg/WrenchStamped") if frame else None
+        wrenches = writer.topic(WRENCH_TOPIC, "geometry_msgs/msg/WrenchStamped") if frame else None
         for row, (stamp, wrench_stamp) in enumerate(zip(_stamps(trace.time), _stamps(trace.wrench_time), strict=True)):
-            states.write(stamp, _joint_state(stamp, names, trace.position[row], trace.velocity[row], trace.effort[row]))
+            state = trace.position[row], trace.velocity[row], trace.effort[row]
+            writer.write_message(states, stamp, _joint_state(stamp, names, *state))
             if commands is not None:
                 setpoint = trace.commands.position[row], trace.commands.velocity[row], trace.feedforward[row]
-                commands.write(stamp, _joint_state(stamp, names, *setpoint))
+                writer.write_message(commands, stamp, _joint_state(stamp, names, *setpoint))
             if wrenches is not None:
-                wrenches.write(wrench_stamp, _wrench(trace.wrench[row], wrench_stamp, frame))
+                writer.write_message(wrenches, wrench_stamp, _wrench(trace.wrench[row], wrench_stamp, frame))
 
 
 def write_walk(path: Path, trace: WalkTrace, names: Sequence[str], urdf: str, imu: str) -> None:
     """Write ``/robot_description``, ``/joint_states`` and ``/imu``, measured at the link ``imu``, to a new bag."""
     with _new_bag(path, urdf) as writer:
-        states = _Topic(writer, "/joint_states", "sensor_msgs/msg/JointState")
-        imus = _Topic(writer, "/imu", "sensor_msgs/msg/Imu")
+        states = writer.topic("/joint_states", "sensor_msgs/msg/JointState")
+        imus = writer.topic("/imu", "sensor_msgs/msg/Imu")
         for row, stamp in enumerate(_stamps(trace.time)):
-            states.write(stamp, _joint_state(stamp, names, trace.position[row], trace.velocity[row], trace.effort[row]))
-            imus.write(stamp, _imu(trace.angular_velocity[row], trace.specific_force[row], stamp, imu))
+            state = trace.position[row], trace.velocity[row], trace.effort[row]
+            writer.write_message(states, stamp, _joint_state(stamp, names, *state))
+            message = _imu(trace.angular_velocity[row], trace.specific_force[row], stamp, imu)
+            writer.write_message(imus, stamp, message)
 
 
 @contextmanager
 def _new_bag(path: Path, urdf: str) -> Iterator[BagWriter]:
     """Open a new bag that contains a robot's description."""
     with closing(BagWriter(path)) as bag:
-        description = _Topic(bag, "/robot_description", "std_msgs/msg/String")
-        description.write(START * _NANO, _message("std_msgs/msg/String", data=urdf))
+        description = bag.topic("/robot_description", "std_msgs/msg/String")
+        bag.write_message(description, START * _NANO, _message("std_msgs/msg/String", data=urdf))
         yield bag
 
 
@@ -103,22 +106,14 @@ class BagWriter:
         """Write a serialised message at a stamp [ns]."""
         self._writer.write(topic, stamp, data)
 
+    def write_message(self, topic: Connection, stamp: int, message: object) -> None:
+        """Write a message at a stamp [ns]."""
+        self.write(topic, stamp, _TYPES.serialize_cdr(message, topic.msgtype))
+
     def close(self) -> None:
         """Close the bag and add the checksums."""
         self._writer.close()
         _add_checksums(self._file)
-
-
-class _Topic:
-    """Topic of an open bag; messages are logged at their stamp [ns]."""
-
-    def __init__(self, bag: BagWriter, name: str, kind: str) -> None:
-        self._bag = bag
-        self._kind = kind
-        self._connection = bag.topic(name, kind)
-
-    def write(self, stamp: int, message: object) -> None:
-        self._bag.write(self._connection, stamp, _TYPES.serialize_cdr(message, self._kind))
 
 
 def _reliable(durability: QosDurability) -> Qos:

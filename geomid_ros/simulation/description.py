@@ -6,7 +6,7 @@ MuJoCo reads the kinematics from the same text, stripped of everything else.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -105,7 +105,7 @@ def read_description(text: str) -> Description:
     """Read a URDF; links without mass have no inertia."""
     robot = _parse(text)
     links = tuple(_attribute(link, "name") for link in robot.findall("link"))
-    inertias = tuple(_inertias(robot.findall("link")))
+    inertias = tuple(filter(None, map(_inertia, robot.findall("link"))))
     joints = tuple(_limits(joint) for joint in robot.findall("joint") if _kind(joint) in _MOVING)
     if not joints:
         raise InputError("the URDF has no moving joint; a simulation needs at least one.")
@@ -141,21 +141,16 @@ def _parse(text: str) -> Element:
     return robot
 
 
-def _inertias(links: Iterable[Element]) -> Iterable[LinkInertia]:
-    for link in links:
-        inertial = link.find("inertial")
-        if inertial is not None and _number(_child(inertial, "mass"), "value") > 0.0:
-            yield _inertia(_attribute(link, "name"), inertial)
-
-
-def _inertia(name: str, inertial: Element) -> LinkInertia:
+def _inertia(link: Element) -> LinkInertia | None:
+    """Inertia of a link; None if it has no mass."""
+    inertial = link.find("inertial")
+    if inertial is None or (mass := _number(_child(inertial, "mass"), "value")) <= 0.0:
+        return None
     origin = inertial.find("origin")
     com, rotation = (np.zeros(3), np.eye(3)) if origin is None else _placement(origin)
     element = _child(inertial, "inertia")
     inertia = np.array([[_number(element, name) for name in row] for row in INERTIA_NAMES])
-    return LinkInertia(
-        name, _number(_child(inertial, "mass"), "value"), frozen(com), frozen(rotation @ inertia @ rotation.T)
-    )
+    return LinkInertia(_attribute(link, "name"), mass, frozen(com), frozen(rotation @ inertia @ rotation.T))
 
 
 def _placement(origin: Element) -> tuple[FloatArray, FloatArray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
 
 import numpy as np
@@ -12,23 +12,11 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.options import Options, option
 
-_DRAWN = (  # by the seed of a realistic robot
-    "inertia_error",
-    "viscous_friction",
-    "coulomb_friction",
-    "rotor_inertia",
-    "effort_offset",
-    "position_noise",
-    "velocity_noise",
-    "effort_noise",
-    "noise_time",
-    "position_step",
-    "effort_step",
-)
 LONGEST_STEP = 1e-3
 """[s] Longest integration step: dry friction stops a joint within a few milliseconds."""
 _STIFF_STEP = 2e-4  # [s] for a light rotor at an elastic gear
-_STIFF = {"joint_elasticity", "backlash"}
+GEARS = ("joint_elasticity", "backlash")
+"""Effects that add a second hinge behind a joint's motor."""
 MOTIONS = ("sines", "aperiodic", "points", "chirp")
 """Kinds of motion."""
 
@@ -55,7 +43,7 @@ class SimulationOptions(Options):
 
     Robot:
         robot: a shipped robot's name, or the path of a ``.urdf`` file (the nominal model; it goes into the bag).
-        Options for quantities that a ``realistic`` robot draws from its seed are refused, see ``realistic.py``.
+        Options that are ``drawn``, from the seed of a ``realistic`` robot, are refused for one, see ``realistic.py``.
         wrench_frame: link with a wrench sensor at its connection to its parent (``wrist_ft`` on the shipped robots);
             None records no ``/wrench``.
         inertia_error: approximate relative standard deviation of a link's mass. The bodies stay physically consistent
@@ -94,22 +82,22 @@ class SimulationOptions(Options):
     wrench_lag: float = option(0.0, min=0.0)
     commands: bool = False
 
-    inertia_error: float = option(0.2, min=0.0)
+    inertia_error: float = option(0.2, min=0.0, drawn=True)
 
     hide: tuple[Hidden, ...] | None = None
-    viscous_friction: float = option(0.03, min=0.0)
-    coulomb_friction: float = option(0.02, min=0.0)
-    rotor_inertia: float = option(0.002, min=0.0)
-    effort_offset: float = option(0.005, min=0.0)
+    viscous_friction: float = option(0.03, min=0.0, drawn=True)
+    coulomb_friction: float = option(0.02, min=0.0, drawn=True)
+    rotor_inertia: float = option(0.002, min=0.0, drawn=True)
+    effort_offset: float = option(0.005, min=0.0, drawn=True)
 
-    position_noise: float = option(2e-5, min=0.0)
-    velocity_noise: float = option(1e-3, min=0.0)
-    effort_noise: float = option(2e-3, min=0.0)
+    position_noise: float = option(2e-5, min=0.0, drawn=True)
+    velocity_noise: float = option(1e-3, min=0.0, drawn=True)
+    effort_noise: float = option(2e-3, min=0.0, drawn=True)
     force_noise: float = option(0.1, min=0.0)
     torque_noise: float = option(5e-3, min=0.0)
-    noise_time: float = option(0.0, min=0.0)
-    position_step: float = option(0.0, min=0.0)
-    effort_step: float = option(0.0, min=0.0)
+    noise_time: float = option(0.0, min=0.0, drawn=True)
+    position_step: float = option(0.0, min=0.0, drawn=True)
+    effort_step: float = option(0.0, min=0.0, drawn=True)
 
     motion: str = option("sines", choices=MOTIONS)
     motion_period: float = option(6.0, flag="--period", min=0.0, min_open=True)
@@ -121,9 +109,9 @@ class SimulationOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in _DRAWN if self.realistic else ():
-            if getattr(self, name) != getattr(type(self), name):
-                raise InputError(f"a realistic robot draws its {name} from the seed; leave the option out.")
+        for entry in fields(self) if self.realistic else ():
+            if entry.metadata.get("drawn") and getattr(self, entry.name) != entry.default:
+                raise InputError(f"a realistic robot draws its {entry.name} from the seed; leave the option out.")
         if self.samples < 2:
             raise InputError(f"{self.duration} s at {self.rate} Hz are fewer than 2 samples; lengthen the duration.")
 
@@ -135,7 +123,7 @@ class SimulationOptions(Options):
     @property
     def substeps(self) -> int:
         """Number of integration steps from one recorded sample to the next."""
-        stiff = any(request.effect in _STIFF for request in self.hide or ())
+        stiff = any(request.effect in GEARS for request in self.hide or ())
         longest = min(self.longest_step, _STIFF_STEP) if stiff else self.longest_step
         return math.ceil(1.0 / (self.rate * longest) - 1e-9)
 

@@ -15,7 +15,6 @@ from geomid_ros.simulation.description import Description, LinkInertia, set_iner
 from geomid_ros.simulation.effects.physics import (
     FORCES,
     FRICTION,
-    GEARS,
     MODEL,
     STRUCTURE,
     Places,
@@ -23,6 +22,7 @@ from geomid_ros.simulation.effects.physics import (
     play_name,
     wind_up,
 )
+from geomid_ros.simulation.options import GEARS
 from geomid_ros.types import FloatArray, IntArray
 
 
@@ -86,10 +86,6 @@ class Simulator(ABC):
         return needed
 
     @abstractmethod
-    def moves(self, link: str) -> bool:
-        """True if any joint moves the link."""
-
-    @abstractmethod
     def acceleration(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
         """Accelerations ``(m,)`` of a state under commanded ``effort (n,)``, clipped to the joints' limits."""
 
@@ -141,9 +137,6 @@ class Plant(Simulator):
             if effect.name in MODEL:
                 MODEL[effect.name](self._model, places, effect.parameters)
         self._mujoco.mj_setConst(self._model, self._data)
-
-    def moves(self, link: str) -> bool:
-        return bool(self._model.body(link).weldid[0] != 0)
 
     def acceleration(
         self, position: FloatArray, velocity: FloatArray, effort: FloatArray, added: FloatArray | float = 0.0

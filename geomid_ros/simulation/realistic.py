@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,9 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, perturbed, read_description
 from geomid_ros.simulation.effects.effect_sizes import chosen_effects
-from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect, noiseless_measurement
+from geomid_ros.simulation.effects.physics import FRICTION, TrueEffect, noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
-from geomid_ros.simulation.options import LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
+from geomid_ros.simulation.options import GEARS, LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot, rounded
 from geomid_ros.simulation.robots import robot_description
@@ -319,7 +318,7 @@ def build_realistic(options: SimulationOptions) -> RealisticRobot:
     return RealisticRobot(
         nominal=nominal,
         bodies=true_bodies,
-        effects=_all(standing, hidden),
+        effects=_with_one_delay([*standing, *hidden]),
         plant=plant,
         joints=joints,
         standing=standing,
@@ -331,11 +330,10 @@ def build_realistic(options: SimulationOptions) -> RealisticRobot:
     )
 
 
-def _all(*effects: Iterable[TrueEffect]) -> tuple[TrueEffect, ...]:
-    """Merge effects into one tuple, with a single delay: the sum of all."""
-    merged = list(chain(*effects))
-    delay = sum(effect.parameters.get("delay", 0.0) for effect in merged)
-    return (*(e for e in merged if e.name != "effort_delay"), TrueEffect("effort_delay", "", {"delay": delay}))
+def _with_one_delay(effects: Sequence[TrueEffect]) -> tuple[TrueEffect, ...]:
+    """Return the effects with the sum of their delays in place of all delays."""
+    delay = sum(effect.parameters.get("delay", 0.0) for effect in effects)
+    return (*(e for e in effects if e.name != "effort_delay"), TrueEffect("effort_delay", "", {"delay": delay}))
 
 
 def _changed_mass(request: Hidden, robot: Description) -> TrueEffect:

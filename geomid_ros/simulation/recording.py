@@ -156,7 +156,7 @@ def write_truth(path: Path, robot: TrueRobot, options: SimulationOptions, added:
         "seed": options.seed,
         "motion_seed": options.recording_seed,
         "gravity": [0.0, 0.0, -GRAVITY],
-        "links": [link_entry(body, robot.plant.moves(body.name)) for body in robot.bodies],
+        "links": [link_entry(body, robot.nominal.moved_by(body.name) is not None) for body in robot.bodies],
         "contributions": {channel: values.tolist() for channel, values in added.items()},
         "joints": robot.plant.joints,
         "noise": {channel: level.tolist() for channel, level in robot.noise(options).items()},

@@ -84,11 +84,6 @@ class ControlLoop:
     controller: JointController
     step: float
 
-    @property
-    def steps(self) -> int:
-        """Number of steps for which there are set-points."""
-        return (len(self.controller.feedforward) - 1) // 2
-
     def acceleration(self, half_step: int, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Accelerations ``(m,)`` of a state ``half_step / 2`` steps after the start."""
         motors = self.robot.driven
@@ -147,16 +142,6 @@ def run(loop: ControlLoop, sampling: Sampling, progress: Callable[[float], None]
                 progress(index / sampling.joints[-1])
         if index < sampling.steps:
             position, velocity = loop.advance(index, position, velocity, acceleration)
-    return _trace(loop, sampling, rows, wrenches, efforts)
-
-
-def _trace(
-    loop: ControlLoop,
-    sampling: Sampling,
-    rows: list[tuple[FloatArray, FloatArray, FloatArray]],
-    wrenches: list[FloatArray],
-    efforts: list[FloatArray],
-) -> RunTrace:
     steps, motors, step = sampling.joints, loop.robot.driven, np.float64(loop.step)
     position, velocity, acceleration = (np.array(column)[:, motors] for column in zip(*rows, strict=True))
     return RunTrace(

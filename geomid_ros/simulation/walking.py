@@ -192,7 +192,9 @@ def true_bodies(robot: Description, options: WalkOptions) -> list[LinkInertia]:
     bodies = [perturbed(body, options.inertia_error, numbers) for body in robot.inertias]
     if not options.payload:
         return bodies
-    box = LinkInertia("", options.payload, np.array(options.payload_at), 2e-3 * options.payload * np.eye(3))
+    box = LinkInertia(robot.root, options.payload, np.array(options.payload_at), 2e-3 * options.payload * np.eye(3))
+    if all(body.name != robot.root for body in bodies):  # its trunk is fixed to a frame
+        return [box, *bodies]
     return [
         body_of(body.name, pseudo_inertia(body) + pseudo_inertia(box)) if body.name == robot.root else body
         for body in bodies

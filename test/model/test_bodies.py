@@ -119,6 +119,7 @@ def test_a_cut_divides_a_body(name: str, cut: str, whole: str) -> None:
     for body in before.bodies:
         if body.name != whole:
             np.testing.assert_array_equal(new[body.name].parameters, body.parameters)
+    assert (after.carrier(whole), after.carrier(cut)) == (whole, cut)
 
 
 def test_locked_joints_stand_at_zero() -> None:

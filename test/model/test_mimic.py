@@ -109,6 +109,16 @@ def test_the_masters_efforts_make_the_energy_grow() -> None:
         np.testing.assert_allclose(dynamics.efforts(samples)[0], by_rows, rtol=1e-9, atol=1e-9)
 
 
+def test_a_channel_depends_on_its_columns_alone() -> None:
+    """The bodies that followers move are among those of their masters."""
+    robot = Robot(description(MASSES))
+    model = MeasurementModel(robot, [])
+    rows = model.rows(random_samples(robot, seed=1)).coefficients
+    for index, channel in enumerate(model.channels):
+        others = np.setdiff1d(np.arange(model.dimension), channel.columns)
+        assert not np.any(rows[:, index, others])
+
+
 def test_derivatives_are_those_of_the_efforts() -> None:
     robot = Robot(description(MASSES))
     model = MeasurementModel(robot, ())

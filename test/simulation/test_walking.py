@@ -85,6 +85,14 @@ def test_without_a_payload_the_trunk_is_that_of_the_urdf() -> None:
         np.testing.assert_allclose(body.com, nominal.com, atol=1e-12)
 
 
+def test_a_root_link_without_a_mass_carries_the_payload() -> None:
+    robot = read_description(urdf("a1.urdf"))
+    assert robot.root not in {body.name for body in robot.inertias}
+    loaded = true_bodies(robot, replace(OPTIONS, inertia_error=0.0))
+    added = sum(body.mass for body in loaded) - sum(body.mass for body in robot.inertias)
+    assert added == pytest.approx(OPTIONS.payload)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

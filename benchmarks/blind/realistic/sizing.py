@@ -70,7 +70,7 @@ class _Run:
     def rows(self) -> FloatArray:
         """Efforts ``(R, n, 10 links)`` per relative change of the links' inertias."""
         bodies, nominal = self.robot.bodies, self.robot.nominal
-        moving = [index for index, body in enumerate(bodies) if self.robot.plant.moves(body.name)]
+        moving = [index for index, body in enumerate(bodies) if self.robot.nominal.moved_by(body.name)]
         without = self._needed(Plant(nominal, bodies))
         columns = []
         for index in moving:

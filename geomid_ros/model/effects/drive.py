@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -10,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from geomid_ros.model.effects.effect import FRICTION_DRIFT, Effect, Hinge, JointEffect, PairEffect, SituationEffect
-from geomid_ros.model.effects.friction import CoulombFriction
+from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
 from geomid_ros.model.effects.parameters import EFFORT, ByEffect, Found, ParameterForm, Quantities, Values
 from geomid_ros.model.effects.sensor_errors import EffortOffset
 from geomid_ros.model.effects.situation import JointMotion, Place, Situation, joint_of
@@ -55,11 +54,7 @@ class Spring(JointEffect):
     adds_up = False
     contains = "effort_offset"
     confusable_with_payload = True
-
-    @property
-    def positives(self) -> int:
-        """1: an estimated stiffness is positive. (A file may contain a negative one.)"""
-        return 1
+    positives = 1  # an estimated stiffness; a file may contain a negative one
 
     @property
     def parts(self) -> tuple[Effect, ...]:
@@ -112,11 +107,7 @@ class JointElasticity(SituationEffect):
     adds_up = False
     confusable_with_payload = True
     largest = 1.0  # [rad/(N m)]
-
-    @property
-    def positives(self) -> int:
-        """1: the compliance."""
-        return 1
+    positives = 1
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
@@ -161,6 +152,7 @@ class Backlash(SituationEffect):
     settled_by = "slow motion in which the load of this joint changes sign"
     largest = 0.2  # [rad]
     adds_up = False
+    positives = 1
 
     @classmethod
     def grid(cls) -> tuple[Effect, ...]:
@@ -171,11 +163,6 @@ class Backlash(SituationEffect):
     def grid_value(self) -> float:
         """Time of a crossing [s]."""
         return CROSSINGS[self.crossing]
-
-    @property
-    def positives(self) -> int:
-        """1: the gap."""
-        return 1
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
@@ -231,10 +218,12 @@ _RATIO = ParameterForm("ratio", ("-", "-"), mjcf="tendon/coef")
 @dataclass(frozen=True)
 class _CoupledMotor(PairEffect):
     """An effect of a motor that turns by ``q_1 + ratio q_2``: it acts on the first joint, and ``ratio`` times on the
-    second. ``ratio`` is 1, or -1 if the joints turn against each other."""
+    second. ``ratio`` is 1, or -1 if the joints turn against each other; ``of_motor``: the effect of a motor that turns
+    one joint."""
 
     ratio: float = 1.0
 
+    of_motor: ClassVar[JointEffect]
     adds_up = False
     before_gear = True
     settled_by: ClassVar[str] = "motion of each joint alone, and of both together"
@@ -244,17 +233,10 @@ class _CoupledMotor(PairEffect):
         """Return both directions."""
         return cls(1.0), cls(-1.0)
 
-    @classmethod
-    def coarse_grid(cls) -> tuple[Effect, ...]:
-        """Return both directions."""
-        return cls.grid()
-
-    @abstractmethod
-    def of_motor(self, motor: JointMotion) -> FloatArray:
-        """Return the motor's effort ``(...)`` per unit of the coefficient."""
+    coarse_grid = grid
 
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
-        effort = self.of_motor(JointMotion(first.states + self.ratio * second.states))
+        effort = self.of_motor.column(JointMotion(first.states + self.ratio * second.states))
         return effort, self.ratio * effort
 
     def constants(self, found: object, log_std: float, usual_load: float) -> list[tuple[float, float]]:  # noqa: ARG002
@@ -275,9 +257,7 @@ class CoupledViscousFriction(_CoupledMotor):
     meaning = "effort coefficient (v_1 + ratio v_2) at the first joint, ratio times as much at the second"
     parameters = (ParameterForm("coefficient", ("N m s/rad", "N s/m"), above=0.0, mjcf="tendon/damping"), _RATIO)
     drift = FRICTION_DRIFT
-
-    def of_motor(self, motor: JointMotion) -> FloatArray:
-        return motor.velocity
+    of_motor = ViscousFriction()
 
 
 class CoupledCoulombFriction(_CoupledMotor):
@@ -288,9 +268,7 @@ class CoupledCoulombFriction(_CoupledMotor):
     meaning = "effort level sign(v_1 + ratio v_2) at the first joint, ratio times as much at the second"
     parameters = (ParameterForm("level", EFFORT, above=0.0, mjcf="tendon/frictionloss"), _RATIO)
     drift = FRICTION_DRIFT
-
-    def of_motor(self, motor: JointMotion) -> FloatArray:
-        return CoulombFriction().column(motor)
+    of_motor = CoulombFriction()
 
 
 class CoupledRotorInertia(_CoupledMotor):
@@ -300,6 +278,4 @@ class CoupledRotorInertia(_CoupledMotor):
     label = "rotor inertia of a motor that turns both joints"
     meaning = "effort inertia (a_1 + ratio a_2) at the first joint, ratio times as much at the second"
     parameters = (ParameterForm("inertia", ("kg m^2", "kg"), above=0.0, mjcf="tendon/armature"), _RATIO)
-
-    def of_motor(self, motor: JointMotion) -> FloatArray:
-        return motor.acceleration
+    of_motor = RotorInertia()

@@ -340,8 +340,8 @@ class MotionEffect(Effect):
         """Return efforts ``(..., J)`` per unit of the coefficient, each instant independently."""
 
     def efforts_not_in_mjcf(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:
-        """Return all of its efforts, unless the MJCF contains the effect."""
-        if any(form.mjcf for form in self.parameters):
+        """Return all of its efforts, unless the MJCF contains the effect or it is not an effort, but a sensor error."""
+        if self.is_sensor_error or any(form.mjcf for form in self.parameters):
             return 0.0
         return values[self.column_parameters[0].name] * self.efforts(motion, place)
 

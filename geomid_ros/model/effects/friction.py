@@ -72,10 +72,7 @@ class CoulombFriction(JointEffect):
         """Return one for each of :data:`SMOOTHINGS`."""
         return tuple(cls(smoothing) for smoothing in SMOOTHINGS)
 
-    @classmethod
-    def coarse_grid(cls) -> tuple[Effect, ...]:
-        """Return the whole grid, because the shape of dry friction is not known beforehand."""
-        return cls.grid()
+    coarse_grid = grid  # the whole grid, because the shape of dry friction is not known beforehand
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.tanh(motion.velocity / self.smoothing)
@@ -131,6 +128,8 @@ class StribeckFriction(JointEffect):
     contains = "coulomb_friction"
     is_dry_friction = True
     levels_off = True
+    positives = 2
+    column_positives = 1  # dry friction that sets in gradually is SaturatingFriction
 
     @classmethod
     def grid(cls) -> tuple[Effect, ...]:
@@ -146,16 +145,6 @@ class StribeckFriction(JointEffect):
     def parts(self) -> tuple[Effect, ...]:
         """Coulomb friction (the level), and itself (the excess)."""
         return CoulombFriction(self.smoothing), self
-
-    @property
-    def positives(self) -> int:
-        """2: level and excess."""
-        return 2
-
-    @property
-    def column_positives(self) -> int:
-        """1, the excess. (Dry friction that sets in gradually is :class:`SaturatingFriction`.)"""
-        return 1
 
     def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if the excess is many times the level."""
@@ -209,11 +198,7 @@ class LoadFriction(LoadEffect):
     settled_by = "the same motion with and without a known payload"
     drift = FRICTION_DRIFT
     largest = 1.0  # at 1 the gear transmits nothing
-
-    @property
-    def positives(self) -> int:
-        """1: friction dissipates energy, so the coefficient is positive."""
-        return 1
+    positives = 1  # friction dissipates energy
 
     def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
         return np.abs(load) * sign
@@ -314,10 +299,7 @@ class Presliding(JointEffect):
         """Return one for each of :data:`DISTANCES`."""
         return tuple(cls(distance) for distance in DISTANCES)
 
-    @classmethod
-    def coarse_grid(cls) -> tuple[Effect, ...]:
-        """Return the whole grid."""
-        return cls.grid()
+    coarse_grid = grid
 
     def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
         """True if the joint's dry friction is at least as large, up to drift, as the part that keeps its sign."""

@@ -79,8 +79,4 @@ class CarriedBody(Effect):
     place = "link"
     confusable_with_payload = True
     adds_up = False
-
-    @property
-    def parts(self) -> tuple[Effect, ...]:
-        """Empty, because a body has no coefficients."""
-        return ()
+    parts = ()  # a body has no coefficients

@@ -33,10 +33,6 @@ class EffortOffset(JointEffect):
         """Return the offset."""
         return values["offset"]
 
-    def efforts_not_in_mjcf(self, values: Values, motion: Motion, place: Place) -> float:  # noqa: ARG002
-        """Return 0, because it is a sensor error, not an effort."""
-        return 0.0
-
 
 _USED = (-0.7, 2.0)  # range of scale errors at which a model may be built
 

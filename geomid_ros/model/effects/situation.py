@@ -120,11 +120,6 @@ class Motion(JointMotion):
         past = {effect: state.take(joint, axis=-1) for effect, state in self.past.items()}
         return JointMotion(self.states.take(joint, axis=-1), past)
 
-    @property
-    def joints(self) -> int:
-        """Number of joints J."""
-        return int(self.states.shape[-1])
-
 
 OfLoad: TypeAlias = Callable[[FloatArray, float], FloatArray]
 """Function of a recording's gear loads ``(n, J)``, sampled with a period [s]; returns ``(n, J, K)``."""

@@ -15,8 +15,8 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, UrdfLimits
-from geomid_ros.simulation.effects.physics import GEARS, TrueEffect
-from geomid_ros.simulation.options import Hidden, RandomStream, SimulationOptions, generator
+from geomid_ros.simulation.effects.physics import TrueEffect
+from geomid_ros.simulation.options import GEARS, Hidden, RandomStream, SimulationOptions, generator
 
 _ROTOR_TIME = 1e-4  # [s] to V at E: a rotor as light as the integration allows, hardly visible in the noise
 
@@ -177,7 +177,7 @@ SIZES: dict[str, Size] = {
 WRENCH_TOPIC = "/wrench"
 """Topic of the wrench in a recording."""
 
-_WHOLE_ROBOT = {"gravity_tilt", "effort_delay"}
+_FIXED_PLACES = {"gravity_tilt": "", "effort_delay": "", "wrench_offset": WRENCH_TOPIC}
 _TWO_JOINTS = {"cable_force", "joint_coupling"}
 _ABOVE_ZERO = {"speed", "gain", "gap", "mass", "stiffness", "damping", "rotor_inertia"}
 
@@ -234,22 +234,17 @@ def _place(
     request: Hidden, robot: Description, options: SimulationOptions, others: list[TrueEffect], rng: np.random.Generator
 ) -> tuple[str, str]:
     """Joint (or topic, or nothing) and, for a payload, its link."""
-    if request.effect in _WHOLE_ROBOT:
-        return _fixed_place(request, ""), ""
-    if request.effect == "wrench_offset":
-        if options.wrench_frame is None:
-            raise InputError("wrench_offset needs a wrench sensor; add --wrench.")
-        return _fixed_place(request, WRENCH_TOPIC), ""
+    if request.effect in _FIXED_PLACES:
+        place = _FIXED_PLACES[request.effect]
+        if place and options.wrench_frame is None:
+            raise InputError(f"{request.effect} needs a wrench sensor; add --wrench.")
+        if request.place not in ("", place):
+            where = f"at the topic {place}" if place else "in the whole robot"
+            raise InputError(f"{request.effect} is {where}; it cannot be at '{request.place}'.")
+        return place, ""
     if request.effect == "payload":
         return _carrier(request.place or _drawn_link(robot, rng), robot)
     return _joint(request, robot, others, rng), ""
-
-
-def _fixed_place(request: Hidden, place: str) -> str:
-    if request.place not in ("", place):
-        where = f"at the topic {place}" if place else "in the whole robot"
-        raise InputError(f"{request.effect} is {where}; it cannot be at '{request.place}'.")
-    return place
 
 
 def _joint(request: Hidden, robot: Description, others: list[TrueEffect], rng: np.random.Generator) -> str:

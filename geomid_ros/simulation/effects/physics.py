@@ -59,40 +59,33 @@ class Places:
 
 
 Force = Callable[[Parameters, Places, list[float], list[float], FloatArray], None]
-"""Function that adds to the needed efforts (last), by parameters, places, positions and velocities of all hinges."""
+"""Function that adds to the needed efforts (last), by parameters, places, positions q and velocities v of all
+hinges."""
 
 
-def _cogging(
-    parameters: Parameters, at: Places, position: list[float], _velocity: list[float], needed: FloatArray
-) -> None:
-    wave = math.sin(parameters["cycles"] * position[at.joint] + parameters["phase"])
+def _cogging(parameters: Parameters, at: Places, q: list[float], _v: list[float], needed: FloatArray) -> None:
+    wave = math.sin(parameters["cycles"] * q[at.joint] + parameters["phase"])
     needed[at.joint] += parameters["amplitude"] * wave
 
 
-def _cable_force(
-    parameters: Parameters, at: Places, position: list[float], _velocity: list[float], needed: FloatArray
-) -> None:
-    stretch = position[at.joint] + parameters["ratio"] * position[at.other] - parameters["start"]
+def _cable_force(parameters: Parameters, at: Places, q: list[float], _v: list[float], needed: FloatArray) -> None:
+    stretch = q[at.joint] + parameters["ratio"] * q[at.other] - parameters["start"]
     tension = parameters["stiffness"] * max(stretch, 0.0)
     needed[at.joint] += tension
     needed[at.other] += parameters["ratio"] * tension
 
 
-def _joint_coupling(
-    parameters: Parameters, at: Places, _position: list[float], velocity: list[float], needed: FloatArray
-) -> None:
-    needed[at.joint] += parameters["coefficient"] * velocity[at.other]
+def _joint_coupling(parameters: Parameters, at: Places, _q: list[float], v: list[float], needed: FloatArray) -> None:
+    needed[at.joint] += parameters["coefficient"] * v[at.other]
 
 
-def _backlash(
-    parameters: Parameters, at: Places, position: list[float], velocity: list[float], needed: FloatArray
-) -> None:
+def _backlash(parameters: Parameters, at: Places, q: list[float], v: list[float], needed: FloatArray) -> None:
     """Effort of flanks that press but never pull; between them the link is free."""
-    angle = position[at.play]
+    angle = q[at.play]
     penetration = abs(angle) - 0.5 * parameters["gap"]
     if penetration > 0.0:
         side = math.copysign(1.0, angle)
-        force = parameters["stiffness"] * penetration + parameters["damping"] * side * velocity[at.play]
+        force = parameters["stiffness"] * penetration + parameters["damping"] * side * v[at.play]
         needed[at.play] += side * max(force, 0.0)
 
 
@@ -162,8 +155,6 @@ MODEL = by_name(_viscous_friction, _rotor_inertia, _spring, _joint_elasticity, _
 
 
 _COM = ("com_x", "com_y", "com_z")
-GEARS = ("joint_elasticity", "backlash")
-"""Effects that add a second hinge behind a joint's motor."""
 
 
 def play_name(joint: str) -> str:

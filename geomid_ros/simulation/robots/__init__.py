@@ -15,20 +15,17 @@ _SUFFIX = ".urdf"
 
 def robot_names() -> tuple[str, ...]:
     """Names of the shipped robots, sorted."""
-    return tuple(sorted(entry.name[: -len(_SUFFIX)] for entry in files(__name__).iterdir() if _is_urdf(entry.name)))
+    names = (entry.name for entry in files(__name__).iterdir())
+    return tuple(sorted(name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX)))
 
 
 def robot_description(robot: str) -> str:
     """URDF text of a shipped robot, or of the file at ``robot`` when that ends in ``.urdf``."""
-    if _is_urdf(robot):
+    if robot.endswith(_SUFFIX):
         return _read(Path(robot))
     if robot not in robot_names():
         raise unknown_name("robot", robot, (*robot_names(), "path/to/your" + _SUFFIX))
     return files(__name__).joinpath(robot + _SUFFIX).read_text(encoding="utf-8")
-
-
-def _is_urdf(name: str) -> bool:
-    return name.endswith(_SUFFIX)
 
 
 def _read(path: Path) -> str:
