@@ -10,7 +10,7 @@ Rows of one channel are also kept as a triangular factor. For the rows ``[A b]``
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple, cast
 
@@ -209,27 +209,34 @@ class SelectedProducts:
 class ChannelSummary:
     """Rows of one channel: the factor ``(<= columns + 1, columns + 1)`` of ``[A b]``, and the sum of their weights.
 
-    ``time``: last time [s] at which the weights were updated.
+    ``time``: last time [s] at which the weights were updated. ``waiting``: rows that are not yet in the factor, with
+    their targets and times.
     """
 
     factor: FloatArray
     count: float = 0.0
     time: float = 0.0
+    waiting: list[tuple[FloatArray, float, float]] = field(default_factory=list)
 
     def copy(self) -> ChannelSummary:
-        """Copy that later changes of this one do not affect; no array is ever changed in place."""
+        """Copy without waiting rows that later changes of this one do not affect; no array is ever changed in place."""
         return ChannelSummary(self.factor, self.count, self.time)
 
-    def fade(self, share: float) -> None:
-        """Multiply the weights of all rows by ``share``."""
-        self.factor = np.sqrt(share) * self.factor
-        self.count *= share
-
-    def add(self, rows: FloatArray, targets: FloatArray, weights: FloatArray) -> None:
-        """Add rows ``(N, columns)`` with ``weights (N,)``."""
-        augmented = np.sqrt(weights)[:, None] * np.column_stack([rows, targets])
-        self.factor = triangular(np.concatenate([self.factor, augmented]))
-        self.count += float(np.sum(weights))
+    def absorb(self, count: int, now: float, forgetting_time: float) -> None:
+        """Add the first ``count`` waiting rows to the factor. A row's weight at the time ``now`` [s] is
+        ``exp(-age / forgetting_time)``."""
+        remaining = float(np.exp((self.time - now) / forgetting_time))
+        if remaining < 1.0:  # otherwise copies share the factor
+            self.factor = np.sqrt(remaining) * self.factor
+            self.count *= remaining
+        if count:
+            rows, targets, times = (np.array(values) for values in zip(*self.waiting[:count], strict=True))
+            weights = np.exp((times - now) / forgetting_time)
+            augmented = np.sqrt(weights)[:, None] * np.column_stack([rows, targets])
+            self.factor = triangular(np.concatenate([self.factor, augmented]))
+            self.count += float(np.sum(weights))
+            del self.waiting[:count]
+        self.time = now
 
 
 def joined(parts: Sequence[ChannelSummary]) -> FloatArray:
