@@ -25,36 +25,28 @@ RELEASED_BELOW = 0.5
 """Weight below which a block is reported as released."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CoupledPrior(ABC):
-    """Prior of some parameters, the ``columns (k,)`` of a ``problem``."""
+    """Prior of some of a problem's parameters.
+
+    Attributes:
+        problem: the problem, without the prior's rows.
+        columns: its parameters with this prior ``(k,)``.
+        manifold, mean: manifold of these, and the point at which their tangent coordinates are zero.
+        names: names of the blocks that can be released.
+        freedom: degrees of freedom of the t-distribution of each block's distance.
+    """
 
     problem: Problem
     columns: IntArray
-
-    @property
-    @abstractmethod
-    def manifold(self) -> ParameterManifold:
-        """Manifold of its parameters."""
-
-    @property
-    @abstractmethod
-    def mean(self) -> Point:
-        """Point at which its tangent coordinates are zero."""
-
-    @property
-    @abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """Names of its blocks."""
+    manifold: ParameterManifold
+    mean: Point
+    names: tuple[str, ...]
+    freedom: float
 
     @abstractmethod
     def root(self, weights: Mapping[str, float]) -> FloatArray:
         """Rows ``(r, k)`` of the tangent coordinates, for these weights of the blocks."""
-
-    @property
-    @abstractmethod
-    def freedom(self) -> float:
-        """Degrees of freedom of the t-distribution of each block's distance."""
 
     @abstractmethod
     def block_distances(self, weights: Mapping[str, float], /) -> Iterable[FloatArray]:

@@ -51,7 +51,7 @@ def choose(
         add_prior: adds prior rows to the problem; called only if there is a choice.
     """
     rows = CoefficientRows(problem)
-    if not (rows.has_choice and rows.has_enough_rows):
+    if not rows.has_choice:
         return Choice(rows.required_columns)
     problem = add_prior(problem)
     rows = CoefficientRows(problem)

@@ -23,7 +23,7 @@ from geomid_ros.estimation.fit import CERTAINTY, prior_std_cost, reestimated_pri
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.model.alike_parts import ALIKE_PRIOR_STD, AlikeParts
 from geomid_ros.types import FloatArray
@@ -79,52 +79,38 @@ def individual_std_cost(parts: Sequence[AlikeParts], individual_stds: FloatArray
     return cost
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class AlikePrior(CoupledPrior):
-    """Prior of the groups of alike ``parts``."""
+    """Prior of the groups of alike ``parts``; its blocks are their links."""
 
     parts: Sequence[AlikeParts]
 
     @staticmethod
     def of(parts: Sequence[AlikeParts], problem: Problem) -> AlikePrior:
         """Build the prior of a problem whose links have the URDF's prior."""
-        prior_stds, columns = (
-            common_prior_stds(parts, problem.default_stds),
-            np.arange(len(problem.model.nominal_inertias)),
+        separate = replace(problem, given_stds=common_prior_stds(parts, problem.default_stds))
+        manifold = ParameterManifold(len(problem.model.body_names), 0, np.zeros(0))
+        columns = np.arange(manifold.dimension)
+        return AlikePrior(
+            problem=separate,
+            columns=columns,
+            manifold=manifold,
+            mean=manifold.point(separate.prior[columns]),
+            names=tuple(name for group in parts for name in group.names),
+            freedom=CERTAINTY,
+            parts=parts,
         )
-        return AlikePrior(replace(problem, given_stds=prior_stds), columns, parts)
-
-    @cached_property
-    def manifold(self) -> ParameterManifold:
-        """Manifold of the links."""
-        return ParameterManifold(self.problem.manifold.links, 0, np.zeros(0))
-
-    @cached_property
-    def mean(self) -> Point:
-        """Priors of the links."""
-        return self.manifold.point(self.problem.prior[self.columns])
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the alike links."""
-        return tuple(name for group in self.parts for name in group.names)
-
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom of the default prior std of a link."""
-        return CERTAINTY
 
     def root(self, weights: Mapping[str, float]) -> FloatArray:
         """Deviation of each link from the common part, in units of its individual std."""
-        return alike_rows(self.parts, self._own(weights), len(self.columns))
+        return alike_rows(self.parts, self._individual_stds(weights), len(self.columns))
 
     def block_distances(self, weights: Mapping[str, float], /) -> FloatArray:
         """Deviation of each link from the weighted mean of the alike ones, in units of the default individual std."""
-        return np.asarray(
-            deviation_from_common(self.parts, self._own(weights), np.eye(len(self.columns))) / ALIKE_PRIOR_STD
-        )
+        stds, units = self._individual_stds(weights), np.eye(len(self.columns))
+        return np.asarray(deviation_from_common(self.parts, stds, units) / ALIKE_PRIOR_STD)
 
-    def _own(self, weights: Mapping[str, float]) -> FloatArray:
+    def _individual_stds(self, weights: Mapping[str, float]) -> FloatArray:
         return ALIKE_PRIOR_STD * np.array([weights[name] for name in self.names]) ** -0.5
 
     def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
@@ -142,9 +128,10 @@ class AlikePrior(CoupledPrior):
 _LOOSE = 1.0  # prior std of the links alone; it only bounds directions that the population leaves undetermined
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PopulationPrior(CoupledPrior):
-    """Prior from a ``population``; parameters that it does not contain keep the default prior."""
+    """Prior from a ``population``; parameters that it does not contain keep the default prior. Its blocks are the
+    population's links and effects."""
 
     population: Population
 
@@ -175,22 +162,15 @@ class PopulationPrior(CoupledPrior):
         given = np.full(model.dimension, np.nan)
         given[columns] = subset.parameters
         prior_stds = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.default_stds)
-        return PopulationPrior(replace(problem, given_parameters=given, given_stds=prior_stds), columns, subset)
-
-    @property
-    def manifold(self) -> ParameterManifold:
-        """Manifold of the population."""
-        return self.population.manifold
-
-    @property
-    def mean(self) -> Point:
-        """Mean of the population."""
-        return self.population.point
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the population's links and effects."""
-        return tuple(self.population.blocks)
+        return PopulationPrior(
+            problem=replace(problem, given_parameters=given, given_stds=prior_stds),
+            columns=columns,
+            manifold=subset.manifold,
+            mean=subset.point,
+            names=tuple(subset.blocks),
+            freedom=subset.robots + SHARED,
+            population=subset,
+        )
 
     @cached_property
     def _own(self) -> FloatArray:
@@ -208,18 +188,11 @@ class PopulationPrior(CoupledPrior):
             prior_stds[block] *= weights[name] ** 0.5
         return np.asarray(beyond_prior(self.population.covariance, prior_stds) / self._own)
 
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom: the population's robots and :data:`SHARED`."""
-        return self.population.robots + SHARED
-
     def block_distances(self, _: Mapping[str, float], /) -> Iterator[FloatArray]:
         """Yield rows that whiten each block by the population's covariance."""
-        for name in self.names:
-            block = self.population.blocks[name]
+        for block in self.population.blocks.values():
             rows = np.zeros((len(block), len(self.columns)))
-            factor = np.linalg.cholesky(self.population.covariance[np.ix_(block, block)])
-            rows[:, block] = np.linalg.inv(factor)
+            rows[:, block] = np.linalg.inv(np.linalg.cholesky(self.population.covariance[np.ix_(block, block)]))
             yield rows
 
     def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:

@@ -27,15 +27,6 @@ LEAST_SHARE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class StraightManifold(ParameterManifold):
-    """The manifold with steps along straight lines of the parameters instead of geodesics."""
-
-    def exp(self, base: Point, tangent: FloatArray) -> Point:
-        """End of the straight step that leaves ``base`` with tangent coordinates ``(D,)``."""
-        return self.straight(base, tangent)
-
-
-@dataclass(frozen=True, eq=False)
 class Profile:
     """Data of C channels of unknown noise: ``products`` of the D columns and the target, ``counts
     (C,)`` of rows, the ``prior``, and ``floors (C,)`` of the noise."""

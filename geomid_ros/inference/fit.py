@@ -17,7 +17,7 @@ import numpy as np
 
 from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.link_priors import alike_rows, individual_std_cost, reestimated_individual_stds
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, fit_scales
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, fit_scales
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.definite import Packed
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -186,7 +186,7 @@ def _free_fit(
     terms = (*prior.terms, *(term for term in own if term not in prior.terms))
     products = design.gather(bodies, terms)
     scales = design.scales(terms)
-    manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
+    manifold = ParameterManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
     prior_point = _known(manifold, prior, bodies)
     payloads_at = len(prior.inertias)
     prior_stds = {term: std for c in chosen for term, std in zip(c.terms, c.prior_std, strict=True)}
@@ -288,7 +288,7 @@ def _constraint_rows(constraints: FloatArray | None, manifold: ParameterManifold
 
 def fit_of_prior(prior: Prior[Term]) -> JointFit[Any, Term]:
     """The prior as a fit to no data."""
-    manifold = StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
+    manifold = ParameterManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
     size = manifold.dimension
     return JointFit(
         chosen=(),

@@ -10,7 +10,7 @@ from typing import Generic
 import numpy as np
 
 from geomid_ros.estimation.link_priors import common_prior_stds
-from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.estimation.profile_objective import ProfileObjective
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference.hypothesis import Term
@@ -130,7 +130,7 @@ class Prior(Generic[Term]):
         others = self.other_recordings
         if others is None:
             return self
-        manifold = StraightManifold(len(self.inertias) // 10, 0, np.ones(0))
+        manifold = ParameterManifold(len(self.inertias) // 10, 0, np.ones(0))
         links = manifold.whiten(manifold.point(self.inertias), others.rows[:, : others.links])
         rows = np.column_stack([links * self.prior_std, others.rows[:, others.links :]])
         count = len(others.changes)
@@ -159,7 +159,7 @@ class Prior(Generic[Term]):
         the other links: the former link is marginalised with the prior std ``prior_std``."""
         if self.other_recordings is None:
             return self
-        manifold, places = StraightManifold(len(self.inertias) // 10, 0, np.ones(0)), slice(10 * link, 10 * link + 10)
+        manifold, places = ParameterManifold(len(self.inertias) // 10, 0, np.ones(0)), slice(10 * link, 10 * link + 10)
         links = self.other_recordings.rows[:, : self.other_recordings.links]
         columns = self.prior_std * manifold.whiten(manifold.point(self.inertias), links)[:, places]
         known, cost = self.other_recordings.marginalised(columns)
