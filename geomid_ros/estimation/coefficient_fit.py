@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.objective import rows_at
-from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.problem import Problem, required_columns
 from geomid_ros.estimation.profile_objective import (
     Profile,
     ProfileFit,
@@ -71,7 +71,7 @@ class CoefficientRows:
     @cached_property
     def required_columns(self) -> IntArray:
         """Columns of all non-optional parameters, effects in their default shape."""
-        return np.array([c for c in range(self.size) if c < self.first_column or not self.coefficient(c).optional])
+        return required_columns(self.problem.model)
 
     @cached_property
     def required_mechanisms(self) -> list[Mechanism]:

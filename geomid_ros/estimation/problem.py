@@ -213,6 +213,12 @@ class Problem:
         return self._with_given(self.least_sigmas)
 
 
+def required_columns(model: MeasurementModel) -> IntArray:
+    """Columns of the parameters that are not optional, effects in their default shape."""
+    is_required = [True] * len(model.nominal_inertias) + [not c.optional for c in model.coefficients]
+    return np.flatnonzero(is_required)
+
+
 def subproblem(problem: Problem, columns: IntArray) -> Problem:
     """Return the problem of these parameters alone; all other coefficients are zero."""
     first = problem.model.dimension - len(problem.model.coefficients)
