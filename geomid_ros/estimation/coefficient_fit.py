@@ -114,7 +114,9 @@ class CoefficientRows:
     @cached_property
     def products(self) -> ChannelProducts:
         """Gram matrices of all columns and the target, per group, times the independent fraction of the rows."""
-        return self.problem.products.first(len(self.counts)).times(self.problem.independent_fraction)
+        products, fraction = self.problem.products, self.problem.independent_fraction
+        pairs = zip(products.places, products.blocks, self.counts, strict=False)
+        return ChannelProducts.of(products.size, ((places, fraction * block) for places, block, _ in pairs))
 
     @cached_property
     def known_products(self) -> FloatArray:

@@ -67,11 +67,15 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class RowCounts:
-    """Numbers of rows since the last reset: ``made = taken + sum(rejected by reason)``."""
+    """Numbers of rows since the last reset: taken, and rejected by reason."""
 
-    made: int
     taken: int
     rejected: Counter[str]
+
+    @property
+    def made(self) -> int:
+        """Number of all rows."""
+        return self.taken + self.rejected.total()
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +127,6 @@ class Identifier:
     def _begin_anew(self) -> None:
         self._summary = self._empty_summary()
         self._recent = RevocableBuffer()
-        self._made = 0
         self._rejected: Counter[str] = Counter()
         self._last_pose: FloatArray | None = None
         self._last_stamp: int | None = None
@@ -164,7 +167,6 @@ class Identifier:
         speeds = np.max(np.abs(np.concatenate([samples.velocity, samples.base_velocity], axis=1)), axis=1)
         poses = np.concatenate([samples.position, samples.base_pose], axis=1)
         with self._lock:
-            self._made += is_measured.size
             self._rejected[NOT_MEASURED] += is_measured.size - int(np.sum(counts))
             for index in range(len(samples)):
                 elapsed[index] = self._elapsed(int(samples.stamps[index]))
@@ -265,20 +267,10 @@ class Identifier:
         return self._summary.rows + self._recent.rows
 
     @property
-    def made(self) -> int:
-        """Number of rows made so far."""
-        return self._made
-
-    @property
     def counts(self) -> RowCounts:
         """Numbers of all rows so far, taken and rejected."""
         with self._lock:
-            return RowCounts(self._made, self._taken, self._rejected + self._recent.rejected)
-
-    @property
-    def rows_rejected(self) -> Counter[str]:
-        """Numbers of rejected rows, by reason."""
-        return self.counts.rejected
+            return RowCounts(self._taken, self._rejected + self._recent.rejected)
 
     def has_grown_beyond(self, rows: int, share: float) -> bool:
         """True if more than this fraction ``share`` of the rows in memory came after the first ``rows`` rows."""
@@ -328,7 +320,6 @@ class Identifier:
             self._begin_anew()
             self._summary = summary
             self._rejected = memory.rows_rejected.copy()
-            self._made = summary.rows + self._rejected.total()
             self._last_pose, self._last_stamp = memory.last_pose, memory.last_stamp
 
     def solve(self, warm: WarmStart | None = None) -> Estimate:

@@ -146,9 +146,7 @@ def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
 
 
 def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Stack several channels, scaled to equal weight: columns ``(k,)`` and factor ``(rows, k + 1)``."""
-    if len(factors) == 1:
-        return columns[0], factors[0]
+    """Stack channels, scaled to equal weight: columns ``(k,)`` and factor ``(rows, k + 1)``."""
     union = np.unique(np.concatenate(columns))
     blocks = []
     for indices, factor, size in zip(columns, factors, sizes, strict=True):

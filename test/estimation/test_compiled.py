@@ -103,7 +103,7 @@ def test_a_channel_below_its_floor_is_one_of_known_noise() -> None:
 def test_an_objective_of_products_is_the_same(manifold: ParameterManifold, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
     point = bodies.point(rng, manifold)
-    products = sparse(rng, manifold, point).products.dense(0)
+    products = sparse(rng, manifold, point).products.weighed([1.0, 0.0, 0.0, 0.0])
     prior, known = bodies.point(rng, manifold), rng.normal(size=(2, manifold.dimension + 1))
     objective = ProductsObjective(manifold, products, prior, weights(rng, manifold), 1.0, known.T @ known)
     own = objective.evaluate(point)

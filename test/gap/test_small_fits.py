@@ -85,7 +85,7 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
     start = own.manifold.point(np.append(1.1 * LINK, [0.2, -0.1]))
     jacobian = own.manifold.whiten(start, np.eye(own.manifold.dimension))
     of_rows = sum(
-        count / squares * own.profile.products.dense(channel)[:-1, :-1]
+        count / squares * own.profile.products.weighed(np.arange(CHANNELS) == channel)[:-1, :-1]
         for channel, (count, squares) in enumerate(zip(own.profile.counts, own.profile.squares(start), strict=True))
     )
     into = np.linalg.inv(own.manifold.offset_rows(own.profile.prior, np.eye(own.manifold.dimension)))
