@@ -10,7 +10,7 @@ Rows of one channel are also kept as a triangular factor. For the rows ``[A b]``
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import ModuleType
@@ -94,7 +94,7 @@ class ChannelProducts(_Products):
     blocks: tuple[FloatArray, ...]
 
     @staticmethod
-    def of(size: int, channels: Iterator[tuple[IntArray, FloatArray]]) -> ChannelProducts:
+    def of(size: int, channels: Iterable[tuple[IntArray, FloatArray]]) -> ChannelProducts:
         """Build from pairs of places and blocks."""
         places, blocks = zip(*channels, strict=True)
         return ChannelProducts(size, places, blocks)

@@ -12,12 +12,11 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
-from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_with_coupled_prior
 from geomid_ros.estimation.effect_selection import Choice, choose
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
-from geomid_ros.estimation.link_priors import AlikePrior, PopulationPrior
+from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.paper_estimator import OBJECTIVES
 from geomid_ros.estimation.population import Population

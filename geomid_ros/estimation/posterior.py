@@ -3,6 +3,7 @@ estimate."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -145,24 +146,18 @@ class Posterior(RobotParameters):
 
     def with_effects(self, effects: Sequence[EffectCoordinate]) -> Posterior:
         """Return it with the effects in another order, the positive ones first. Raises ValueError for other effects."""
-        remaining = list(enumerate(self.effects))
-        places = []
-        for effect in effects:
-            place = next((place for place, other in remaining if other == effect), None)
-            if place is None:
-                raise ValueError(f"it has no {effect.name} of {effect.place}")
-            remaining.remove((place, effect))
-            places.append(place)
-        if remaining:
-            raise ValueError(f"it has a {remaining[0][1].name} of {remaining[0][1].place}")
-        first, positive = self.manifold.inertial.stop, len(self.effects) - len(self.scales)
-        order = np.concatenate([np.arange(first), first + np.array(places, dtype=np.int64)])
+        wanted, present = Counter(effects), Counter(self.effects)
+        for effect in wanted - present:
+            raise ValueError(f"it has no {effect.name} of {effect.place}")
+        for effect in present - wanted:
+            raise ValueError(f"it has a {effect.name} of {effect.place}")
+        order = self.columns(self.links, effects)
         return replace(
             self,
             effects=tuple(effects),
             parameters=frozen(self.parameters[order]),
             covariance=frozen(self.covariance[np.ix_(order, order)]),
-            scales=frozen(self.scales[np.array(places[positive:], dtype=np.int64) - positive]),
+            scales=self.scales_of(effects),
             prior=frozen(self.prior[order]),
             prior_stds=frozen(self.prior_stds[order]),
         )

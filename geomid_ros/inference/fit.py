@@ -182,21 +182,18 @@ def _free_fit(
 ) -> JointFit[Chosen, Term]:
     """Return the minimum reached from the start; ``constraints``: rows ``(r, terms)`` of coefficients fixed at zero."""
     bodies = [c.payload for c in chosen if c.payload is not None]
-    own = dict.fromkeys(term for c in chosen for term in c.terms)
-    terms = (*prior.terms, *(term for term in own if term not in prior.terms))
+    terms = tuple(dict.fromkeys([*prior.terms, *(term for c in chosen for term in c.terms)]))
     products = design.gather(bodies, terms)
     scales = design.scales(terms)
     manifold = ParameterManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
     prior_point = _known(manifold, prior, bodies)
     payloads_at = len(prior.inertias)
-    prior_stds = {term: std for c in chosen for term, std in zip(c.terms, c.prior_std, strict=True)}
-    stds = [prior_stds.get(term, 0.0) or DEFAULT_FRACTION * scale for term, scale in zip(terms, scales, strict=True)]
+    known_stds = dict(zip(prior.terms, prior.prior_stds.tolist(), strict=True))
+    known_stds |= {term: std for c in chosen for term, std in zip(c.terms, c.prior_std, strict=True)}
+    stds = [known_stds[term] or DEFAULT_FRACTION * scale for term, scale in zip(terms, scales, strict=True)]
     weights = np.ones(manifold.dimension)
     weights[manifold.real] = (scales / np.array(stds)) ** 2
     weights[payloads_at : manifold.inertial.stop] = priors.PAYLOAD_PRIOR_STD**-2
-    held = np.array([term not in own for term in prior.terms], dtype=bool)
-    places = manifold.real.start + np.flatnonzero(held)
-    weights[places] = (scales[: len(held)][held] / prior.prior_stds[held]) ** 2
     rows, cost = _known_rows(prior, chosen, manifold)
     zero = _constraint_rows(constraints, manifold, prior_point)
     earlier, zeros = (_products(manifold.offset_rows(prior_point, own[:, :-1]), own[:, -1]) for own in (rows, zero))
