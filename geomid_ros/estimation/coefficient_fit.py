@@ -121,10 +121,13 @@ class CoefficientRows:
     @cached_property
     def known_products(self) -> FloatArray:
         """Gram matrix of all columns and the residual of the known rows, at the prior without effects."""
-        manifold = ParameterManifold(len(self.problem.default_stds), 0, self.problem.scales)
-        prior = manifold.point(np.append(self.problem.prior[: self.first_column], np.zeros(len(manifold.scales))))
-        rows = rows_at(manifold, prior, self.problem.known.rows, self.problem.known.targets)
+        rows = rows_at(*self._prior(self.problem.scales), self.problem.known.rows, self.problem.known.targets)
         return np.asarray(rows.T @ rows)
+
+    def _prior(self, scales: FloatArray) -> tuple[ParameterManifold, Point]:
+        """Manifold with coefficients of these scales, and the prior without effects."""
+        manifold = ParameterManifold(len(self.problem.default_stds), 0, scales)
+        return manifold, manifold.point(np.append(self.problem.prior[: self.first_column], np.zeros(len(scales))))
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -169,12 +172,8 @@ class CoefficientRows:
     def _fit(self, columns: IntArray, start: CoefficientFit | None, given: FloatArray | None) -> CoefficientFit:
         """Fit in which every coefficient may be negative."""
         problem, default = self.problem, self.problem.default_stds
-        manifold = ParameterManifold(
-            len(default), 0, problem.scales[columns[columns >= self.first_column] - self.first_column]
-        )
-        links = manifold.inertial
-        prior = manifold.point(np.append(problem.prior[links], np.zeros(len(manifold.scales))))
-        point, prior_stds = prior, default
+        manifold, prior = self._prior(problem.scales[columns[columns >= self.first_column] - self.first_column])
+        links, point, prior_stds = manifold.inertial, prior, default
         if start is not None:
             point, prior_stds = manifold.point(start.parameters[columns]), start.fit.scales
         selected = np.append(columns, self.size)
@@ -311,13 +310,12 @@ class CoefficientFit:
         that would be negative and cannot be."""
         products = self.rows.products.some(columns, self.weights)
         values = -products @ self._vector
-        gains, allowed = np.zeros(len(columns)), np.flatnonzero((values >= 0.0) | ~self.rows.positive[columns])
+        hessian, gains = self.fit.hessian, np.zeros(len(columns))
+        allowed = np.flatnonzero((values >= 0.0) | ~self.rows.positive[columns])
         if len(allowed):
             shared = self.fit.objective.manifold.whiten(self.fit.point, products[allowed[:, None], self.columns])
-            squares = products[allowed, columns[allowed]]
-            unexplained = squares - np.sum(
-                shared.T * definite.solve_or_least_squares(self.fit.hessian, shared.T), axis=0
-            )
+            squares, explained = products[allowed, columns[allowed]], definite.solve_or_least_squares(hessian, shared.T)
+            unexplained = squares - np.sum(shared.T * explained, axis=0)
             independent = unexplained > ROUNDING * squares
             gains[allowed] = np.where(independent, values[allowed] ** 2 / np.where(independent, unexplained, 1.0), 0.0)
         return gains

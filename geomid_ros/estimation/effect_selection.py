@@ -79,9 +79,8 @@ def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
     """Give every non-optional effect of ``joints`` its most likely shape, one effect after the other."""
     rows = fit.rows
     for mechanism in rows.required_mechanisms:
-        if not set(joints).intersection(joints_of(mechanism[1])):
-            continue
-        fit = _best_shape(fit, rows.shapes[mechanism])
+        if set(joints).intersection(joints_of(mechanism[1])):
+            fit = _best_shape(fit, rows.shapes[mechanism])
     return rows.fit(fit.all_columns, fit)
 
 

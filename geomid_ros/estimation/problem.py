@@ -135,8 +135,7 @@ class Problem:
     @cached_property
     def known_weight(self) -> float:
         """Sum of the weights (Remark 2) of the known rows."""
-        ones = np.ones(len(self.known.rows))
-        return self._known_factor * float(np.sum(row_weights(self.manifold, self.prior_point, self.known.rows, ones)))
+        return self._known_factor * float(np.sum(row_weights(self.manifold, self.prior_point, self.known.rows)))
 
     @cached_property
     def counts(self) -> FloatArray:
