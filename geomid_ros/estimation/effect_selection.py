@@ -40,9 +40,7 @@ class Choice:
     prior_stds: FloatArray | None = None
 
 
-def choose(
-    problem: Problem, earlier: IntArray | None = None, add_prior: Callable[[Problem], Problem] = lambda alone: alone
-) -> Choice:
+def choose(problem: Problem, earlier: IntArray | None, add_prior: Callable[[Problem], Problem]) -> Choice:
     """Choose the parameters: all that are not optional, each in its best shape, and the significant optional ones.
 
     Args:

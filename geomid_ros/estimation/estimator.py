@@ -164,22 +164,23 @@ def estimate(
         found, weights = fit_with_coupled_prior(prior, solve, weights)
         return found, weights, prior.release_warnings(weights)
 
+    def chosen(problem: Problem, start: IntArray | None) -> Choice:
+        return choose(problem, start, partial(_at_prior, settings))
+
     kept_columns = None if warm is None else _kept_columns(model, warm)
-    if warm is None or kept_columns is None or warm.effects_alone:
-        choice = choose(full_problem, kept_columns, partial(_at_prior, settings))
-        columns = choice.columns
-        result = _estimate(columns, model, solved := fitted(columns, alternative=choice), settings)
-        while len(insignificant := _least_significant(model, result, columns)):
-            columns = np.setdiff1d(columns, insignificant)
-            # Solve anew, not from the last result: the dropped effect may have led it to another minimum.
-            result = _estimate(columns, model, solved := fitted(columns, alternative=choice), settings)
-    else:
-        columns = kept_columns
-        result = _estimate(columns, model, solved := fitted(columns, warm), settings)
+    continued = None if warm is None or warm.effects_alone else warm
+    choice = chosen(full_problem, kept_columns) if kept_columns is None or continued is None else Choice(kept_columns)
+    columns = choice.columns
+    while True:
+        # Solve anew, not from the last result: a dropped effect may have led it to another minimum.
+        solved = fitted(columns, continued, choice)
+        result = _estimate(columns, model, solved, settings)
+        if continued is not None or not len(insignificant := _least_significant(model, result, columns)):
+            break
+        columns = np.setdiff1d(columns, insignificant)
 
     def among(held: IntArray, start: IntArray) -> IntArray:
-        choice = choose(subproblem(full_problem, held), np.searchsorted(held, start), partial(_at_prior, settings))
-        return np.asarray(held[choice.columns])
+        return np.asarray(held[chosen(subproblem(full_problem, held), np.searchsorted(held, start)).columns])
 
     errors, (_, weights, _) = _insignificant_errors(model, result, columns), solved
     within = fit_files(model, columns, settings.files, errors, among, lambda held: fitted(held, weights=weights)[0])

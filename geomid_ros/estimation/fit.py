@@ -80,7 +80,7 @@ class Fit:
     @cached_property
     def rows(self) -> tuple[FloatArray, FloatArray]:
         """Measured rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1."""
-        return self.problem.rows(self.sigmas)
+        return self.problem.summary.compressed(self.sigmas, self.problem.manifold.dimension)
 
     @cached_property
     def objective(self) -> ResidualObjective:

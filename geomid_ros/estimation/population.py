@@ -58,15 +58,7 @@ class RobotLikelihood(RobotParameters):
         others = np.setdiff1d(np.arange(len(self.parameters)), kept)
         stacked = np.column_stack([self.rows, self.targets])[:, [*others, *kept, -1]]
         reduced = triangular(stacked)[len(others) :, len(others) :]
-        return replace(
-            self,
-            effects=tuple(effects),
-            rows=reduced[:, :-1],
-            targets=reduced[:, -1],
-            parameters=self.parameters[kept],
-            prior=self.prior[kept],
-            scales=self.scales_of(effects),
-        )
+        return self._part(self.links, effects, rows=reduced[:, :-1], targets=reduced[:, -1], prior=self.prior[kept])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -86,14 +78,7 @@ class Population(RobotParameters):
     def part(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> Population:
         """Distribution of some of the links and effects, in the given order."""
         kept = self.columns(links, effects)
-        return replace(
-            self,
-            links=tuple(links),
-            effects=tuple(effects),
-            parameters=self.parameters[kept],
-            covariance=self.covariance[np.ix_(kept, kept)],
-            scales=self.scales_of(effects),
-        )
+        return self._part(links, effects, covariance=self.covariance[np.ix_(kept, kept)])
 
 
 def common_likelihoods(robots: Sequence[RobotLikelihood]) -> list[RobotLikelihood]:

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -87,10 +88,17 @@ class RobotParameters:
         link_columns = (10 * self.links.index(name) + k for name in links for k in range(10))
         return [*link_columns, *(first + self.effects.index(effect) for effect in effects)]
 
-    def scales_of(self, effects: Sequence[EffectCoordinate]) -> FloatArray:
-        """Scales of the real coefficients among some of the effects."""
+    def _part(self, links: Sequence[str], effects: Sequence[EffectCoordinate], **changes: FloatArray) -> Self:
+        """Parameters of some links and effects, in the given order, with other ``changes`` of attributes."""
         scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
-        return frozen([scales[effect] for effect in effects if not effect.positive])
+        return replace(
+            self,
+            links=tuple(links),
+            effects=tuple(effects),
+            parameters=frozen(self.parameters[self.columns(links, effects)]),
+            scales=frozen([scales[effect] for effect in effects if not effect.positive]),
+            **changes,
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -152,14 +160,9 @@ class Posterior(RobotParameters):
         for effect in present - wanted:
             raise ValueError(f"it has a {effect.name} of {effect.place}")
         order = self.columns(self.links, effects)
-        return replace(
-            self,
-            effects=tuple(effects),
-            parameters=frozen(self.parameters[order]),
-            covariance=frozen(self.covariance[np.ix_(order, order)]),
-            scales=self.scales_of(effects),
-            prior=frozen(self.prior[order]),
-            prior_stds=frozen(self.prior_stds[order]),
+        covariance, prior = frozen(self.covariance[np.ix_(order, order)]), frozen(self.prior[order])
+        return self._part(
+            self.links, effects, covariance=covariance, prior=prior, prior_stds=frozen(self.prior_stds[order])
         )
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:

@@ -147,14 +147,6 @@ class Problem:
         """Standard deviation of the part of each group that no parameters can explain."""
         return first_sigmas(self.summary, self.model.dimension)
 
-    def rows(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compressed measured rows and targets, in units of their standard deviations ``(groups,)``."""
-        return self.summary.compressed(sigmas, self.manifold.dimension)
-
-    def squares(self, parameters: FloatArray) -> FloatArray:
-        """Sums of squares of each group's residuals."""
-        return np.maximum(self.products.squares(np.append(parameters, -1.0)), 0.0)
-
     def noise(self, parameters: FloatArray) -> FloatArray:
         """Most likely standard deviation of each group at ``parameters (D,)``.
 
@@ -162,9 +154,9 @@ class Problem:
         no more rows than unknowns does not determine its noise, unless a group of faster motion does.
         """
         columns = np.array([len(channel.columns) for channel in self.model.channels])
-        counts, squares, least = (
-            values.reshape(REGIMES, -1) for values in (self.counts, self.squares(parameters), self.least_sigmas)
-        )
+        residual_squares = np.maximum(self.products.squares(np.append(parameters, -1.0)), 0.0)
+        of_groups = self.counts, residual_squares, self.least_sigmas
+        counts, squares, least = (values.reshape(REGIMES, -1) for values in of_groups)
         informative = counts > columns
         estimated = np.maximum(np.sqrt(squares / np.maximum(counts, 1.0)), np.where(informative, least, 0.0))
         determined = np.logical_or.accumulate(informative)

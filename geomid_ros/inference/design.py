@@ -171,11 +171,6 @@ class Design:
         return marginals
 
     @property
-    def has_known_remainder(self) -> bool:
-        """True if other recordings constrain the remainder of any channel."""
-        return any(channel.prior_covariance is not None for channel in self.channels)
-
-    @property
     def cost(self) -> float:
         """Addition of the remainder to minus twice the log likelihood."""
         return sum(marginal.cost for marginal in self._marginalised)

@@ -108,7 +108,7 @@ class JointFit(Generic[Chosen, Term]):
     def with_fitted_remainder(self, design: Design, among: Collection[int] | None = None) -> Design:
         """Return the design with the most likely remainder at this fit, for all channels or those in ``among``."""
         named = np.zeros(len(design.channels))
-        for candidate, values in self.changes.items() if design.has_known_remainder else ():
+        for candidate, values in self.changes.items():
             named += design.powers(candidate, values) / self.squares
         return design.with_fitted_remainder(self.bodies, self.terms, self.point.parameters, named, among)
 
@@ -168,8 +168,8 @@ def _fit(
 ) -> JointFit[Chosen, Term]:
     """Return the minimum reached from the start, with the prior's constraints at zero."""
     free = _free_fit(design, prior, chosen, start, prior_std)
-    rows = prior.constraints(free.terms, free.point.reals)
-    return _free_fit(design, prior, chosen, free, prior_std, rows) if len(rows) else free
+    rows = None if prior.constraints is None else prior.constraints(free.terms, free.point.reals)
+    return free if rows is None or not len(rows) else _free_fit(design, prior, chosen, free, prior_std, rows)
 
 
 def _free_fit(
@@ -195,8 +195,11 @@ def _free_fit(
     weights[manifold.real] = (scales / np.array(stds)) ** 2
     weights[payloads_at : manifold.inertial.stop] = priors.PAYLOAD_PRIOR_STD**-2
     rows, cost = _known_rows(prior, chosen, manifold)
-    zero = _constraint_rows(constraints, manifold, prior_point)
-    earlier, zeros = (_products(manifold.offset_rows(prior_point, own[:, :-1]), own[:, -1]) for own in (rows, zero))
+    earlier = _products(manifold.offset_rows(prior_point, rows[:, :-1]), rows[:, -1])
+    zeros: FloatArray | float = 0.0
+    if constraints is not None:
+        zero_rows = np.column_stack([np.zeros((len(constraints), manifold.real.start)), constraints])
+        zeros = _products(manifold.offset_rows(prior_point, zero_rows), constraints @ prior_point.reals)
     from_scratch = start is None or set(bodies) != set(start.bodies)
     fixed = prior_std is not None
     inflation = 1.0 if fixed or start is None else start.inflation
@@ -274,13 +277,6 @@ def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: Paramete
     triples = zip(prior.terms, prior.prior_stds.tolist(), prior.other_recordings.changes, strict=False)
     others = {place: prior_std for place, (term, prior_std, _) in enumerate(triples) if term in named}
     return prior.other_recordings.present_rows(manifold.dimension, int(manifold.real.start), others)
-
-
-def _constraint_rows(constraints: FloatArray | None, manifold: ParameterManifold, prior: Point) -> FloatArray:
-    """Rows for all parameters; the last column has their residuals at the prior ``(r, D + 1)``."""
-    if constraints is None:
-        return np.zeros((0, manifold.dimension + 1))
-    return np.column_stack([np.zeros((len(constraints), manifold.real.start)), constraints, constraints @ prior.reals])
 
 
 def fit_of_prior(prior: Prior[Term]) -> JointFit[Any, Term]:

@@ -89,11 +89,6 @@ class OtherRecordings:
         return rows, cost + added
 
 
-def no_constraints(_: Sequence[object], values: FloatArray) -> FloatArray:
-    """Return no constraint rows for ``values (k,)``."""
-    return np.zeros((0, len(values)))
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prior(Generic[Term]):
     """Knowledge before the fit.
@@ -108,7 +103,7 @@ class Prior(Generic[Term]):
         changed_link: link that differs now from the one in the other recordings.
         cost: minus twice the log of the factor that this change puts on the likelihood of the other recordings.
         alike: groups of links that have most of their errors in common.
-        constraints: gives rows ``(r, k)`` that fix combinations of coefficients at zero, from terms and values.
+        constraints: gives rows ``(r, k)`` that fix combinations of coefficients at zero, from terms and values, if any.
     """
 
     inertias: FloatArray
@@ -122,7 +117,7 @@ class Prior(Generic[Term]):
     changed_link: int | None = None
     cost: float = 0.0
     alike: Sequence[AlikeParts] = ()
-    constraints: Callable[[Sequence[Term], FloatArray], FloatArray] = no_constraints
+    constraints: Callable[[Sequence[Term], FloatArray], FloatArray] | None = None
 
     @property
     def without_other_recordings(self) -> Prior[Term]:

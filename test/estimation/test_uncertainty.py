@@ -91,7 +91,7 @@ def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolut
     inverse = np.linalg.inv(fisher + np.diag(spreads**-2.0))
     noise, inherited = error_covariance(inverse, fisher, 1.0, np.zeros((6, 6)), np.ones(6), 1.0 / spreads)
     resolution = inverse @ fisher
-    found = Uncertainty(noise + inherited, inherited, np.diag(spreads**2), 1.0)
+    found = Uncertainty(noise + inherited, inherited, np.diag(spreads**2), 1.0, np.zeros(len(spreads)))
     assert found.from_data(slice(0, 6)) == pytest.approx(np.trace(resolution) / 6.0, rel=1e-9)
 
 
