@@ -160,7 +160,9 @@ class Identifier:
         rows.coefficients[:, :, absent_columns] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
         elapsed = np.zeros(len(samples))
-        motion_regimes = self._regimes(samples)
+        motion_regimes = np.zeros(rows.targets.shape, dtype=np.int64)  # of efforts those of their joint, else 0
+        if self.model.layout.efforts:
+            motion_regimes[:, self.model.layout.efforts] = regimes(samples)
         is_measured = usable(rows.coefficients, rows.targets)
         counts, targets = np.count_nonzero(is_measured, axis=1), np.where(is_measured, rows.targets, np.nan)
         targets -= 0.0 if payload_parameters is None else rows.coefficients @ payload_parameters
@@ -196,13 +198,6 @@ class Identifier:
             self._recent.append(BufferedSample(self.sample_count, *instant))
             self.sample_count += 1
         self._settle_before(self.sample_count - self._held)
-
-    def _regimes(self, samples: Samples) -> IntArray:
-        """Regime of motion of each channel ``(N, channels)``: for efforts that of their joint, else 0."""
-        channel_regimes = np.zeros((len(samples), len(self.model.channels)), dtype=np.int64)
-        if self.model.layout.efforts:
-            channel_regimes[:, self.model.layout.efforts] = regimes(samples)
-        return channel_regimes
 
     def _settle_before(self, number: float) -> None:
         settled = list[BufferedSample]()

@@ -47,11 +47,6 @@ class Profile:
         """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""
         return np.maximum(self.products.squares(np.append(point.parameters, -1.0)), self.least)
 
-    def weighed(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Sums of squares ``(C,)`` at ``vector (D + 1,)``, the parameters and -1; and the sum ``(D + 1, D + 1)`` of the
-        products, each times its channel's count over its sum of squares, at least ``least (C,)``."""
-        return self.products.weighed_by_squares(vector, self.counts, self.least)
-
 
 @dataclass(frozen=True, eq=False)
 class ProfileObjective:
@@ -82,7 +77,7 @@ class ProfileObjective:
         """Return value, gradient, information and Hessian along straight lines at ``point``."""
         profile = self.profile
         vector = np.append(point.parameters, -1.0)
-        squares, products = profile.weighed(vector)
+        squares, products = profile.products.weighed_by_squares(vector, profile.counts, profile.least)
         noise = np.maximum(squares, profile.least)
         value, slope = 0.5 * float(profile.counts @ (np.log(noise) + squares / noise - 1.0)), (products @ vector)[:-1]
         return with_prior(self.manifold, point, profile.prior, self.weights, (value, slope, products), self.known)

@@ -50,17 +50,16 @@ class SummaryState:
             other: rows that were added after these, or to another summary.
             pause: time between the last sample of these and the first of the others [s].
         """
-        factors = tuple(
-            tuple(triangular(np.concatenate(pair)) for pair in zip(earlier, later, strict=True))
-            for earlier, later in zip(self.factors, other.factors, strict=True)
-        )
+        folds = zip(self.factors, other.factors, strict=True)
         return SummaryState(
             instants=self.instants + other.instants,
             time=self.time + pause + other.time,
             rows=self.rows + other.rows,
             weight=self.weight + other.weight,
             counts=self.counts + other.counts,
-            factors=factors,
+            factors=tuple(
+                tuple(triangular(np.concatenate(pair)) for pair in zip(*fold, strict=True)) for fold in folds
+            ),
             visited=self.visited.plus(other.visited),
         )
 
@@ -248,15 +247,13 @@ class RowSummary:
     def state(self) -> SummaryState:
         """State, including all rows added so far."""
         folds = self._complete_summaries()
-        counts = np.array([[part.count for part in fold] for fold in folds])
-        factors = tuple(tuple(part.factor for part in fold) for fold in folds)
         return SummaryState(
             instants=self._instants,
             time=self._time,
             rows=self.rows,
             weight=self.weight,
-            counts=counts,
-            factors=factors,
+            counts=np.array([[part.count for part in fold] for fold in folds]),
+            factors=tuple(tuple(part.factor for part in fold) for fold in folds),
             visited=self.visited,
         )
 

@@ -142,7 +142,7 @@ class Design:
     dimension: int
     variances: tuple[FloatArray, ...]
     _known: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
-    _products: dict[tuple[int, bytes], Marginal] = field(default_factory=dict, repr=False)
+    _products: dict[int, tuple[bytes, Marginal]] = field(default_factory=dict, repr=False)
     _gathered: dict[int, tuple[bytes, FloatArray]] = field(default_factory=dict, repr=False)
 
     @staticmethod
@@ -152,23 +152,16 @@ class Design:
 
     def given(self, variances: Sequence[FloatArray]) -> Design:
         """Return the design with other ``variances`` of the remainders; unchanged channels keep their products."""
-        kept = {key: self._products[key] for key in self._keys if key in self._products}
-        return replace(self, variances=tuple(variances), _products=kept, _gathered={})
-
-    @property
-    def _keys(self) -> list[tuple[int, bytes]]:
-        """Key of each channel's products."""
-        return [(place, variances.tobytes()) for place, variances in enumerate(self.variances)]
+        return replace(self, variances=tuple(variances), _products=dict(self._products), _gathered={})
 
     @cached_property
     def _marginalised(self) -> list[Marginal]:
         """Products of each channel with the remainder integrated out."""
-        marginals = []
-        for key, channel, variances in zip(self._keys, self.channels, self.variances, strict=True):
-            if key not in self._products:
-                self._products[key] = channel.remainder.marginalised(channel.products, variances)
-            marginals.append(self._products[key])
-        return marginals
+        for place, (channel, variances) in enumerate(zip(self.channels, self.variances, strict=True)):
+            key = variances.tobytes()
+            if place not in self._products or self._products[place][0] != key:
+                self._products[place] = key, channel.remainder.marginalised(channel.products, variances)
+        return [self._products[place][1] for place in range(len(self.channels))]
 
     @property
     def cost(self) -> float:

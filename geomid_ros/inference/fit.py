@@ -314,19 +314,14 @@ def _first_point(
     bodies: Sequence[int],
     terms: Sequence[Term],
 ) -> Point:
+    """Point of an earlier fit with the same bodies, if there is one; its other terms have the prior's values."""
     if start is None:
         return prior_point
     links = manifold.links - len(bodies)
-    payloads = [
-        start.point.pseudo_inertias[links + start.bodies.index(body)]
-        if body in start.bodies
-        else prior_point.pseudo_inertias[links + place]
-        for place, body in enumerate(bodies)
-    ]
+    order = [*range(links), *(links + start.bodies.index(body) for body in bodies)]
     fitted = set(start.terms)
     reals = [start.value(t) if t in fitted else float(prior_point.reals[i]) for i, t in enumerate(terms)]
-    inertias = [*start.point.pseudo_inertias[:links], *payloads]
-    return Point(np.array(inertias), np.zeros(0), np.array(reals))
+    return Point(start.point.pseudo_inertias[order], np.zeros(0), np.array(reals))
 
 
 def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
