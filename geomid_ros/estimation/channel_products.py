@@ -70,12 +70,12 @@ class _Products(ABC):
         return squares, total
 
 
-def _weighed(native: ModuleType, packed: PackedBlocks, vector: FloatArray, *rest: FloatArray) -> FloatArray:
-    """Squared norms by the compiled loops, for counts and lower bounds; the weighted sum is written into the last array
-    of the ``rest`` unless that is empty."""
-    counts, least, total = rest
+def _weighed(
+    native: ModuleType, packed: PackedBlocks, vector: FloatArray, counts: FloatArray, least: FloatArray, out: FloatArray
+) -> FloatArray:
+    """Squared norms by the compiled loops, which also write the weighted sum into ``out`` unless that is empty."""
     squares = np.empty(len(counts))
-    native.weigh(*packed, np.ascontiguousarray(vector, dtype=np.float64), counts, least, squares, total)
+    native.weigh(*packed, np.ascontiguousarray(vector, dtype=np.float64), counts, least, squares, out)
     return squares
 
 

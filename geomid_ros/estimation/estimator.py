@@ -237,8 +237,8 @@ def _insignificant_effects(
 def filtered_fraction(
     summary: RowSummary, cutoff: float, rows_per_period: float = INDEPENDENT_ROWS_PER_PERIOD
 ) -> float:
-    """Fraction of the rows that are independent after the filter, of which ``rows_per_period`` of its ``cutoff`` [Hz]
-    are; 1 for rows without times or without a filter."""
+    """Fraction of the rows that are independent after the filter: ``rows_per_period`` per period of its ``cutoff``
+    [Hz]; 1 for rows without times or without a filter."""
     if not (np.isfinite(cutoff) and summary.period > 0.0):
         return 1.0
     return min(rows_per_period * cutoff * summary.period, 1.0)

@@ -219,10 +219,9 @@ def inflation_of(rows: FloatArray, manifold: ParameterManifold, point: Point, pr
     """Return the factor, at least 1, by which the variances of the links' ``rows (r, D + 1)`` must grow to agree with a
     fit whose covariance of the links has the ``root (10 links, D)``: the model of these rows had errors, too.
 
-    MacKay's re-estimate, as for the prior std: mean square of the residuals, including the fit's uncertainty.
+    MacKay's re-estimate, as for the prior std: mean square of the residuals, including the fit's uncertainty. It is 1
+    without rows.
     """
-    if not len(rows):
-        return 1.0
     off = rows @ np.append(point.parameters - prior.parameters, 1.0)
     normals = manifold.whiten(point, rows[:, :-1])
     uncertainty = float(np.sum((normals[:, : len(root)] @ root) ** 2))
