@@ -62,8 +62,8 @@ def _geodesic() -> list[FloatArray]:
     turn = np.column_stack([_direction(60.0), _direction(150.0)])
     first = _density(np.zeros(2), _COVARIANCE)
     last = _density(np.array([4.0, 1.5]), turn @ _COVARIANCE @ turn.T)
-    root, inverse_root = scipy.linalg.sqrtm(first), spd.spd_inv_sqrt(first)
-    velocity = scipy.linalg.logm(spd.congruence(inverse_root, last))
+    root = scipy.linalg.sqrtm(first)
+    velocity = scipy.linalg.logm(spd.congruence(np.linalg.inv(root), last))
     return [spd.congruence(root, spd.sym_exp(t * velocity)) for t in np.linspace(0.0, 1.0, _STEPS)]
 
 

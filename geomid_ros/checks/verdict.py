@@ -159,9 +159,7 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
 
 def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
     """Channels that parameters ``(D,)`` predict worse than the URDF on rows, beyond the scatter of the rows' folds."""
-    folds = range(rows.folds)
-    pair = (parameters, model.nominal_parameters)
-    return _worse(model, *(np.array([rows.rms(vector, [fold]) ** 2 for fold in folds]) for vector in pair))
+    return _worse(model, *(rows.rms_by_fold(vector) ** 2 for vector in (parameters, model.nominal_parameters)))
 
 
 def _worse(model: MeasurementModel, errors: FloatArray, nominal: FloatArray) -> list[str]:

@@ -126,29 +126,26 @@ class _LinkChanges:
         manifold = ParameterManifold(len(self.first.parameters), 0, np.zeros(0))
         return manifold.point(self.first.parameters.ravel()).links_jacobian
 
-    def _whitened(self, evidence: LinkEvidence) -> tuple[FloatArray, FloatArray]:
-        """Rows ``(10 links, 10 links)`` of the coordinates, and residuals at the first result."""
-        rows, offset = evidence.information.rows, (self.first.parameters - evidence.parameters).ravel()
-        blocks = rows.reshape(len(rows), -1, SIZE)
-        return np.einsum("nli,lij->nlj", blocks, self._jacobian).reshape(rows.shape), (
-            evidence.information.residuals + rows @ offset
-        )
-
     @cached_property
-    def _both(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-        return self._whitened(self.first), self._whitened(self.second)
+    def _whitened(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Per result, rows ``(10 links, 10 links)`` of the coordinates, and residuals at the first result."""
+        both = []
+        for evidence in (self.first, self.second):
+            rows, offset = evidence.information.rows, (self.first.parameters - evidence.parameters).ravel()
+            blocks = np.einsum("nli,lij->nlj", rows.reshape(len(rows), -1, SIZE), self._jacobian)
+            both.append((blocks.reshape(rows.shape), evidence.information.residuals + rows @ offset))
+        return both
 
     def solved(self, changed: Sequence[int]) -> tuple[float, FloatArray, FloatArray]:
         """Least squared error if these links have changed, their changes ``(10 changed,)`` in coordinates, and the
         covariance of the changes."""
-        (before, residual), (after, other) = self._both
+        (before, residual), (after, other) = self._whitened
         columns = [SIZE * link + index for link in changed for index in range(SIZE)]
-        count, size = len(columns), before.shape[1]
-        rows = np.zeros((len(before) + len(after) + size + count, size + count))
-        rows[: len(before), :size], rows[len(before) : len(before) + len(after), :size] = before, after
-        rows[len(before) : len(before) + len(after), size:] = after[:, columns]
-        rows[len(before) + len(after) :] = np.eye(size + count)
-        targets = np.concatenate([-residual, -other, np.zeros(size + count)])
+        size = before.shape[1]
+        unchanged = np.column_stack([before, np.zeros((len(before), len(columns)))])
+        prior = np.eye(size + len(columns))
+        rows = np.concatenate([unchanged, np.column_stack([after, after[:, columns]]), prior])
+        targets = np.concatenate([-residual, -other, np.zeros(len(prior))])
         orthogonal, triangle = np.linalg.qr(rows)
         projected = orthogonal.T @ targets
         inverse = np.linalg.inv(triangle)
@@ -163,7 +160,6 @@ class _LinkChanges:
         for place, link in enumerate(changed):
             block, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
             std = np.sqrt(np.diag(rows @ covariance[block, block] @ rows.T))
-            increases.append(
-                [Quantity(*entry) for entry in zip((rows @ changes[block]).tolist(), std.tolist(), _UNITS, strict=True)]
-            )
+            values = (rows @ changes[block]).tolist()
+            increases.append([Quantity(*entry) for entry in zip(values, std.tolist(), _UNITS, strict=True)])
         return increases

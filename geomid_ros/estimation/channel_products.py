@@ -9,9 +9,11 @@ Rows of one channel are also kept as a triangular factor. For the rows ``[A b]``
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from types import ModuleType
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -33,20 +35,52 @@ class PackedBlocks(NamedTuple):
     ends: IntArray
 
 
+class _Products(ABC):
+    """Gram matrices of the columns in use and the target, of C channels."""
+
+    @property
+    @abstractmethod
+    def packed(self) -> PackedBlocks:
+        """Packed layout for the compiled loops."""
+
+    @property
+    @abstractmethod
+    def by_channel(self) -> Iterable[tuple[IntArray, FloatArray]]:
+        """Columns of each channel among those in use ``(m,)``, and their Gram matrix ``(m, m)``."""
+
+    def squares(self, vector: FloatArray) -> FloatArray:
+        """Squared norm per channel ``(C,)`` of the columns times ``vector (columns,)``, the last one the target."""
+        if compiled.native is None:
+            return np.array([float(vector[places] @ block @ vector[places]) for places, block in self.by_channel])
+        nothing = np.zeros(len(self.packed.ends))
+        return _weighed(compiled.native, self.packed, vector, nothing, nothing, np.empty((0, len(vector))))
+
+    def weighed_by_squares(
+        self, vector: FloatArray, counts: FloatArray, least: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Squared norms ``(C,)`` at ``vector (columns,)``, and the sum of the Gram matrices weighted by ``counts`` over
+        these, which are bounded below by ``least (C,)``."""
+        if compiled.native is not None:
+            total = np.empty((len(vector), len(vector)))
+            return _weighed(compiled.native, self.packed, vector, counts, least, total), total
+        squares, total = self.squares(vector), np.zeros((len(vector), len(vector)))
+        weights = counts / np.maximum(squares, least)
+        for weight, (places, block) in zip(weights, self.by_channel, strict=True):
+            total[places[:, None], places] += weight * block
+        return squares, total
+
+
 def _weighed(
-    packed: PackedBlocks, vector: FloatArray, counts: FloatArray, least: FloatArray, *, alone: bool = False
-) -> tuple[FloatArray, FloatArray] | None:
-    """Compute :meth:`ChannelProducts.weighed_by_squares` of the selected columns by the compiled loops; None without
-    these. ``alone``: compute only the squares, not the sum."""
-    if compiled.native is None:
-        return None
-    squares, total = np.empty(len(packed.ends)), np.empty((0 if alone else len(vector), len(vector)))
-    compiled.native.weigh(*packed, np.ascontiguousarray(vector, dtype=np.float64), counts, least, squares, total)
-    return squares, total
+    native: ModuleType, packed: PackedBlocks, vector: FloatArray, counts: FloatArray, least: FloatArray, out: FloatArray
+) -> FloatArray:
+    """Squared norms by the compiled loops, which also write the weighted sum into ``out`` unless that is empty."""
+    squares = np.empty(len(counts))
+    native.weigh(*packed, np.ascontiguousarray(vector, dtype=np.float64), counts, least, squares, out)
+    return squares
 
 
 @dataclass(frozen=True, eq=False)
-class ChannelProducts:
+class ChannelProducts(_Products):
     """Gram matrices of the columns and the target, of C channels.
 
     Attributes:
@@ -60,7 +94,7 @@ class ChannelProducts:
     blocks: tuple[FloatArray, ...]
 
     @staticmethod
-    def of(size: int, channels: Iterator[tuple[IntArray, FloatArray]]) -> ChannelProducts:
+    def of(size: int, channels: Iterable[tuple[IntArray, FloatArray]]) -> ChannelProducts:
         """Build from pairs of places and blocks."""
         places, blocks = zip(*channels, strict=True)
         return ChannelProducts(size, places, blocks)
@@ -87,8 +121,7 @@ class ChannelProducts:
     def _packed(self, columns: IntArray) -> PackedBlocks:
         """Packed layout for some ``columns``, increasing, and the target."""
         blocks, widths, places = self._joined
-        new_places = np.full(self.size, -1)
-        new_places[columns], new_places[-1] = np.arange(len(columns)), len(columns)
+        new_places = self.new_places(columns)
         (kept,) = np.nonzero(new_places[places] >= 0)
         at, channel = new_places[places[kept]], np.repeat(np.arange(len(widths)), widths)[kept]
         counts = np.bincount(channel, minlength=len(widths))
@@ -100,40 +133,25 @@ class ChannelProducts:
         runs = breaks[np.searchsorted(breaks, np.arange(len(at)), side="right")] - np.repeat(ends - counts, counts)
         return PackedBlocks(blocks, widths, kept - (np.cumsum(widths) - widths)[channel], at, runs, ends)
 
-    def first(self, count: int) -> ChannelProducts:
-        """The first ``count`` channels."""
-        return ChannelProducts(self.size, self.places[:count], self.blocks[:count])
-
-    def times(self, factor: float) -> ChannelProducts:
-        """All blocks multiplied by ``factor``."""
-        return ChannelProducts(self.size, self.places, tuple(factor * block for block in self.blocks))
+    def new_places(self, columns: IntArray) -> IntArray:
+        """Place ``(size,)`` of each column among some ``columns``, increasing, and the target; -1 if not among them."""
+        places = np.full(self.size, -1)
+        places[columns], places[-1] = np.arange(len(columns)), len(columns)
+        return places
 
     def select(self, columns: IntArray) -> SelectedProducts:
         """Gram matrices of some ``columns``, increasing, and the target."""
         return SelectedProducts(self, columns)
 
-    def dense(self, channel: int) -> FloatArray:
-        """Gram matrix of one channel over all columns ``(size, size)``."""
-        matrix, places = np.zeros((self.size, self.size)), self.places[channel]
-        matrix[places[:, None], places] = self.blocks[channel]
-        return matrix
-
-    def squares(self, vector: FloatArray) -> FloatArray:
-        """Squared norm per channel ``(C,)`` of the columns times ``vector (size,)``."""
-        nothing = np.zeros(len(self))
-        if (compiled_result := _weighed(self.packed, vector, nothing, nothing, alone=True)) is not None:
-            return compiled_result[0]
-        pairs = zip(self.places, self.blocks, strict=True)
-        return np.array([float(vector[places] @ block @ vector[places]) for places, block in pairs])
+    @property
+    def by_channel(self) -> Iterable[tuple[IntArray, FloatArray]]:
+        """Columns of each channel, and their Gram matrix."""
+        return zip(self.places, self.blocks, strict=True)
 
     def weighed(self, weights: Sequence[float] | FloatArray) -> FloatArray:
         """Weighted sum of the Gram matrices ``(size, size)``, for ``weights (C,)``."""
-        if compiled.native is not None:
-            return self.weighed_by_squares(np.zeros(self.size), np.asarray(weights), np.ones(len(self)))[1]
-        total = np.zeros((self.size, self.size))
-        for weight, places, block in zip(weights, self.places, self.blocks, strict=True):
-            total[places[:, None], places] += weight * block
-        return total
+        weights = np.asarray(weights, dtype=np.float64)
+        return self.weighed_by_squares(np.zeros(self.size), weights, np.ones(len(weights)))[1]
 
     def some(self, columns: IntArray, weights: FloatArray) -> FloatArray:
         """Rows of the weighted sum for some ``columns``, ``(len(columns), size)``."""
@@ -152,19 +170,9 @@ class ChannelProducts:
             block_rows[places] = np.arange(len(places))
         return rows
 
-    def weighed_by_squares(
-        self, vector: FloatArray, counts: FloatArray, least: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Squared norms ``(C,)`` at ``vector (size,)``, and the sum of the Gram matrices weighted by ``counts`` over
-        these, which are bounded below by ``least (C,)``."""
-        if (compiled_result := _weighed(self.packed, vector, counts, least)) is not None:
-            return compiled_result
-        squares = self.squares(vector)
-        return squares, self.weighed(counts / np.maximum(squares, least))
-
 
 @dataclass(frozen=True, eq=False)
-class SelectedProducts:
+class SelectedProducts(_Products):
     """Gram matrices of some ``columns (k,)`` of the ``whole``, increasing, and the target. No copies if compiled."""
 
     whole: ChannelProducts
@@ -181,55 +189,45 @@ class SelectedProducts:
         return self.whole._packed(self.columns)  # noqa: SLF001 same module
 
     @cached_property
-    def _copied(self) -> ChannelProducts:
-        new_places = np.full(self.whole.size, -1)
-        new_places[self.columns], new_places[-1] = np.arange(len(self.columns)), len(self.columns)
-        pairs = [(np.flatnonzero(new_places[indices] >= 0), indices) for indices in self.whole.places]
-        places = tuple(new_places[indices[kept]] for kept, indices in pairs)
-        blocks = zip(pairs, self.whole.blocks, strict=True)
-        return ChannelProducts(
-            len(self.columns) + 1, places, tuple(block[kept[:, None], kept] for (kept, _), block in blocks)
-        )
-
-    def squares(self, vector: FloatArray) -> FloatArray:
-        """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
-        nothing = np.zeros(len(self.whole))
-        compiled_result = _weighed(self.packed, vector, nothing, nothing, alone=True)
-        return self._copied.squares(vector) if compiled_result is None else compiled_result[0]
-
-    def weighed_by_squares(
-        self, vector: FloatArray, counts: FloatArray, least: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
-        compiled_result = _weighed(self.packed, vector, counts, least)
-        return self._copied.weighed_by_squares(vector, counts, least) if compiled_result is None else compiled_result
+    def by_channel(self) -> Iterable[tuple[IntArray, FloatArray]]:
+        """Columns of each channel among the selected ones, and their Gram matrix."""
+        new_places = self.whole.new_places(self.columns)
+        pairs = [(new_places[places], block) for places, block in self.whole.by_channel]
+        return [(places[places >= 0], block[places >= 0][:, places >= 0]) for places, block in pairs]
 
 
 @dataclass
 class ChannelSummary:
     """Rows of one channel: the factor ``(<= columns + 1, columns + 1)`` of ``[A b]``, and the sum of their weights.
 
-    ``time``: last time [s] at which the weights were updated.
+    ``time``: last time [s] at which the weights were updated. ``waiting``: rows that are not yet in the factor, with
+    their targets and times.
     """
 
     factor: FloatArray
     count: float = 0.0
     time: float = 0.0
+    waiting: list[tuple[FloatArray, float, float]] = field(default_factory=list)
 
     def copy(self) -> ChannelSummary:
-        """Copy that later changes of this one do not affect; no array is ever changed in place."""
+        """Copy without waiting rows that later changes of this one do not affect; no array is ever changed in place."""
         return ChannelSummary(self.factor, self.count, self.time)
 
-    def fade(self, share: float) -> None:
-        """Multiply the weights of all rows by ``share``."""
-        self.factor = np.sqrt(share) * self.factor
-        self.count *= share
-
-    def add(self, rows: FloatArray, targets: FloatArray, weights: FloatArray) -> None:
-        """Add rows ``(N, columns)`` with ``weights (N,)``."""
-        augmented = np.sqrt(weights)[:, None] * np.column_stack([rows, targets])
-        self.factor = triangular(np.concatenate([self.factor, augmented]))
-        self.count += float(np.sum(weights))
+    def absorb(self, count: int, now: float, forgetting_time: float) -> None:
+        """Add the first ``count`` waiting rows to the factor. A row's weight at the time ``now`` [s] is
+        ``exp(-age / forgetting_time)``."""
+        remaining = float(np.exp((self.time - now) / forgetting_time))
+        if remaining < 1.0:  # otherwise copies share the factor
+            self.factor = np.sqrt(remaining) * self.factor
+            self.count *= remaining
+        if count:
+            rows, targets, times = (np.array(values) for values in zip(*self.waiting[:count], strict=True))
+            weights = np.exp((times - now) / forgetting_time)
+            augmented = np.sqrt(weights)[:, None] * np.column_stack([rows, targets])
+            self.factor = triangular(np.concatenate([self.factor, augmented]))
+            self.count += float(np.sum(weights))
+            del self.waiting[:count]
+        self.time = now
 
 
 def joined(parts: Sequence[ChannelSummary]) -> FloatArray:

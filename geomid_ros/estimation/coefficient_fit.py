@@ -11,17 +11,16 @@ import numpy as np
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.objective import rows_at
-from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.problem import Problem, required_columns
 from geomid_ros.estimation.profile_objective import (
     Profile,
     ProfileFit,
     ProfileObjective,
-    StraightManifold,
     fit_scales,
 )
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
-from geomid_ros.geometry.manifold import Point
+from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.coefficients import Coefficient, Mechanism
 from geomid_ros.model.effects import Effect, Place
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -49,12 +48,12 @@ class CoefficientRows:
         return self.problem.model.dimension
 
     @property
-    def has_enough_rows(self) -> bool:
-        """True if a channel has more independent rows of fast motion than non-optional unknowns, as a choice needs."""
-        unknowns = [
-            len(np.intersect1d(channel.columns, self.required_columns)) for channel in self.problem.model.channels
-        ]
-        return bool(np.any(self.counts[self.fast] > unknowns))
+    def has_choice(self) -> bool:
+        """True if any coefficient may be left out or have another shape, and a channel has more independent rows of
+        fast motion than non-optional unknowns."""
+        channels, required = self.problem.model.channels, self.required_columns
+        unknowns = [len(np.intersect1d(channel.columns, required)) for channel in channels]
+        return len(required) < self.size and bool(np.any(self.counts[self.fast] > unknowns))
 
     @property
     def columns(self) -> range:
@@ -72,7 +71,7 @@ class CoefficientRows:
     @cached_property
     def required_columns(self) -> IntArray:
         """Columns of all non-optional parameters, effects in their default shape."""
-        return np.array([c for c in range(self.size) if c < self.first_column or not self.coefficient(c).optional])
+        return required_columns(self.problem.model)
 
     @cached_property
     def required_mechanisms(self) -> list[Mechanism]:
@@ -96,19 +95,15 @@ class CoefficientRows:
         columns = [column for column in self.columns if self.mechanism(column) not in required]
         return [column for column in columns if self.coefficient(column).effect.depends_on_past or not self.at_rest]
 
-    @property
-    def has_choice(self) -> bool:
-        """True if any coefficient may be left out or have another shape."""
-        return len(self.required_columns) < self.size
-
     def candidates(self, columns: IntArray, refused: Collection[Mechanism]) -> IntArray:
         """Columns that may be added to ``columns``, without the ``refused`` mechanisms."""
         excluded = {self.mechanism(column) for column in columns if column >= self.first_column} | {*refused}
         return np.array([column for column in self.optional if self.mechanism(column) not in excluded], dtype=np.int64)
 
-    def positive(self, column: int) -> bool:
-        """True if a coefficient cannot be negative."""
-        return self.coefficient(column).positive
+    @cached_property
+    def positive(self) -> BoolArray:
+        """True for each parameter ``(D,)`` that is a coefficient and cannot be negative."""
+        return np.array([False] * self.first_column + [c.positive for c in self.problem.model.coefficients])
 
     def allows(self, column: int, value: float) -> bool:
         """True if a coefficient can have this value."""
@@ -119,15 +114,20 @@ class CoefficientRows:
     @cached_property
     def products(self) -> ChannelProducts:
         """Gram matrices of all columns and the target, per group, times the independent fraction of the rows."""
-        return self.problem.products.first(len(self.counts)).times(self.problem.independent_fraction)
+        products, fraction = self.problem.products, self.problem.independent_fraction
+        pairs = zip(products.places, products.blocks, self.counts, strict=False)
+        return ChannelProducts.of(products.size, ((places, fraction * block) for places, block, _ in pairs))
 
     @cached_property
     def known_products(self) -> FloatArray:
         """Gram matrix of all columns and the residual of the known rows, at the prior without effects."""
-        manifold = StraightManifold(len(self.problem.default_stds), 0, self.problem.scales)
-        prior = manifold.point(np.append(self.problem.prior[: self.first_column], np.zeros(len(manifold.scales))))
-        rows = rows_at(manifold, prior, self.problem.known.rows, self.problem.known.targets)
+        rows = rows_at(*self._prior(self.problem.scales), self.problem.known.rows, self.problem.known.targets)
         return np.asarray(rows.T @ rows)
+
+    def _prior(self, scales: FloatArray) -> tuple[ParameterManifold, Point]:
+        """Manifold with coefficients of these scales, and the prior without effects."""
+        manifold = ParameterManifold(len(self.problem.default_stds), 0, scales)
+        return manifold, manifold.point(np.append(self.problem.prior[: self.first_column], np.zeros(len(scales))))
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -172,12 +172,8 @@ class CoefficientRows:
     def _fit(self, columns: IntArray, start: CoefficientFit | None, given: FloatArray | None) -> CoefficientFit:
         """Fit in which every coefficient may be negative."""
         problem, default = self.problem, self.problem.default_stds
-        manifold = StraightManifold(
-            len(default), 0, problem.scales[columns[columns >= self.first_column] - self.first_column]
-        )
-        links = manifold.inertial
-        prior = manifold.point(np.append(problem.prior[links], np.zeros(len(manifold.scales))))
-        point, prior_stds = prior, default
+        manifold, prior = self._prior(problem.scales[columns[columns >= self.first_column] - self.first_column])
+        links, point, prior_stds = manifold.inertial, prior, default
         if start is not None:
             point, prior_stds = manifold.point(start.parameters[columns]), start.fit.scales
         selected = np.append(columns, self.size)
@@ -220,13 +216,12 @@ class CoefficientFit:
     @property
     def negative(self) -> IntArray:
         """Columns of coefficients that are negative and cannot be."""
-        negative = self.fit.point.parameters < 0.0
-        return np.array([c for c in self.columns[negative] if c >= self.rows.first_column and self.rows.positive(c)])
+        return self.columns[(self.fit.point.parameters < 0.0) & self.rows.positive[self.columns]]
 
     @property
     def needlessly_zero(self) -> IntArray:
         """Columns fixed at zero that would improve the fit."""
-        return self.zero_columns[self.gains(self.zero_columns) > 0.0] if len(self.zero_columns) else self.zero_columns
+        return self.zero_columns[self.gains(self.zero_columns) > 0.0]
 
     @cached_property
     def with_default_priors(self) -> CoefficientFit:
@@ -315,20 +310,15 @@ class CoefficientFit:
         that would be negative and cannot be."""
         products = self.rows.products.some(columns, self.weights)
         values = -products @ self._vector
-        gains, allowed = np.zeros(len(columns)), np.flatnonzero((values >= 0.0) | ~self._positive(columns))
+        hessian, gains = self.fit.hessian, np.zeros(len(columns))
+        allowed = np.flatnonzero((values >= 0.0) | ~self.rows.positive[columns])
         if len(allowed):
             shared = self.fit.objective.manifold.whiten(self.fit.point, products[allowed[:, None], self.columns])
-            squares = products[allowed, columns[allowed]]
-            unexplained = squares - np.sum(
-                shared.T * definite.solve_or_least_squares(self.fit.hessian, shared.T), axis=0
-            )
+            squares, explained = products[allowed, columns[allowed]], definite.solve_or_least_squares(hessian, shared.T)
+            unexplained = squares - np.sum(shared.T * explained, axis=0)
             independent = unexplained > ROUNDING * squares
             gains[allowed] = np.where(independent, values[allowed] ** 2 / np.where(independent, unexplained, 1.0), 0.0)
         return gains
-
-    def _positive(self, columns: IntArray) -> BoolArray:
-        """True for coefficients that cannot be negative."""
-        return np.array([self.rows.positive(column) for column in columns], dtype=np.bool_)
 
     def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
         """Factors by which the variances of coefficients exceed those for independent residuals, from what each fold

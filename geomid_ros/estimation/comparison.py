@@ -159,13 +159,11 @@ def _limits(chance: float) -> tuple[float, float]:
 
 def _links(first: RobotValues, second: RobotValues, names: list[str]) -> Iterator[Difference]:
     for name in names:
-        pair = [_quantities(values.links[name]) for values in (first, second)]
-        for quantity, before, after in zip(QUANTITIES, *pair, strict=True):
-            yield Difference(place=name, effect="", parameter=quantity, first=before, second=after)
-
-
-def _quantities(link: UncertainInertia) -> list[Quantity]:
-    return [Quantity(*entry) for entry in zip(link.quantities.tolist(), link.std.tolist(), UNITS, strict=True)]
+        links = (first.links[name], second.links[name])
+        numbers = [zip(link.quantities.tolist(), link.std.tolist(), UNITS, strict=True) for link in links]
+        for parameter, *pair in zip(QUANTITIES, *numbers, strict=True):
+            before, after = (Quantity(*entry) for entry in pair)
+            yield Difference(place=name, effect="", parameter=parameter, first=before, second=after)
 
 
 def _effects(first: RobotValues, second: RobotValues) -> Iterator[Difference]:

@@ -40,9 +40,7 @@ class Choice:
     prior_stds: FloatArray | None = None
 
 
-def choose(
-    problem: Problem, earlier: IntArray | None = None, add_prior: Callable[[Problem], Problem] = lambda alone: alone
-) -> Choice:
+def choose(problem: Problem, earlier: IntArray | None, add_prior: Callable[[Problem], Problem]) -> Choice:
     """Choose the parameters: all that are not optional, each in its best shape, and the significant optional ones.
 
     Args:
@@ -51,7 +49,7 @@ def choose(
         add_prior: adds prior rows to the problem; called only if there is a choice.
     """
     rows = CoefficientRows(problem)
-    if not (rows.has_choice and rows.has_enough_rows):
+    if not rows.has_choice:
         return Choice(rows.required_columns)
     problem = add_prior(problem)
     rows = CoefficientRows(problem)
@@ -79,9 +77,8 @@ def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
     """Give every non-optional effect of ``joints`` its most likely shape, one effect after the other."""
     rows = fit.rows
     for mechanism in rows.required_mechanisms:
-        if not set(joints).intersection(joints_of(mechanism[1])):
-            continue
-        fit = _best_shape(fit, rows.shapes[mechanism])
+        if set(joints).intersection(joints_of(mechanism[1])):
+            fit = _best_shape(fit, rows.shapes[mechanism])
     return rows.fit(fit.all_columns, fit)
 
 

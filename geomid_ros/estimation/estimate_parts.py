@@ -29,10 +29,10 @@ def links(
     sensitivity = sensitivity_of_numbers(point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
     ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
-    estimates = []
+    enlarged = uncertainty.with_enlarged_prior(found.covariance, found.covariance_from_prior)
+    covariances, estimates = (found.covariance, enlarged, found.prior), []
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
-        covariances = (found.covariance, found.with_enlarged_prior, found.prior)
         std, doubted, prior_std = (deviations_of(sensitivity[index], c[block, block]) for c in covariances)
         default_std = problem.default_stds[index] * np.linalg.norm(sensitivity[index], axis=1)
         prior_std = np.minimum(prior_std, default_std)

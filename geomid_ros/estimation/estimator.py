@@ -12,23 +12,23 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
-from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_with_coupled_prior
 from geomid_ros.estimation.effect_selection import Choice, choose
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
-from geomid_ros.estimation.link_priors import AlikePrior, PopulationPrior
+from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.paper_estimator import OBJECTIVES
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import effect_columns
-from geomid_ros.estimation.problem import Problem, subproblem
+from geomid_ros.estimation.problem import Problem, required_columns, subproblem
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.estimation.uncertain_inertia import WITHIN
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
+from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
@@ -40,8 +40,10 @@ _SPENT = (
     "the solver ran out of steps before the prior stds of the links converged; masses are those of the last step; "
     "check that the URDF is this robot's and in SI units, and the signs of the efforts"
 )
-_Solved: TypeAlias = tuple[Fit, Mapping[str, float], Iterable[str]]
-_OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth over the cutoff
+_Solved: TypeAlias = tuple[Fit, Mapping[str, float], Iterable[str]]  # weights of a coupled prior's blocks, and warnings
+WHITE_ROWS_PER_PERIOD = 1.79
+"""Independent rows per period of the filter's cutoff if the noise is white and columns vary slowly: twice the filter's
+noise bandwidth over the cutoff."""
 
 
 @dataclass(frozen=True)
@@ -138,11 +140,11 @@ def estimate(
         known=weighed_rows(model, settings.known).plus(known),
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
-        independent_fraction=_filter_fraction(summary, settings.cutoff),
+        independent_fraction=filtered_fraction(summary, settings.cutoff),
         given_stds=prior_stds,
     )
     # Repeats of a motion count when effects are chosen; for the uncertainty of the parameters they hardly do.
-    independent = full_problem.independent_fraction * subproblem(full_problem, _required_columns(model)).distinct
+    independent = full_problem.independent_fraction * subproblem(full_problem, required_columns(model)).distinct
 
     def fitted(
         columns: IntArray,
@@ -156,24 +158,29 @@ def estimate(
             solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), prior_stds=start.spreads)
         elif alternative is not None and alternative.parameters is not None:
             solve = with_second_start(solve, problem.point_at(alternative.parameters[columns]), alternative.prior_stds)
-        return _solve_with_prior(_coupled_prior(settings, problem), problem, solve, weights)
+        prior = _coupled_prior(settings, problem)
+        if prior is None:
+            return solve(problem), {}, ()
+        found, weights = fit_with_coupled_prior(prior, solve, weights)
+        return found, weights, prior.release_warnings(weights)
+
+    def chosen(problem: Problem, start: IntArray | None) -> Choice:
+        return choose(problem, start, partial(_at_prior, settings))
 
     kept_columns = None if warm is None else _kept_columns(model, warm)
-    if warm is None or kept_columns is None or warm.effects_alone:
-        choice = choose(full_problem, kept_columns, partial(_at_prior, settings))
-        columns = choice.columns
-        result = _estimate(columns, model, solved := fitted(columns, alternative=choice), settings)
-        while len(insignificant := _least_significant(model, result, columns)):
-            columns = np.setdiff1d(columns, insignificant)
-            # Solve anew, not from the last result: the dropped effect may have led it to another minimum.
-            result = _estimate(columns, model, solved := fitted(columns, alternative=choice), settings)
-    else:
-        columns = kept_columns
-        result = _estimate(columns, model, solved := fitted(columns, warm), settings)
+    continued = None if warm is None or warm.effects_alone else warm
+    choice = chosen(full_problem, kept_columns) if kept_columns is None or continued is None else Choice(kept_columns)
+    columns = choice.columns
+    while True:
+        # Solve anew, not from the last result: a dropped effect may have led it to another minimum.
+        solved = fitted(columns, continued, choice)
+        result = _estimate(columns, model, solved, settings)
+        if continued is not None or not len(insignificant := _least_significant(model, result, columns)):
+            break
+        columns = np.setdiff1d(columns, insignificant)
 
     def among(held: IntArray, start: IntArray) -> IntArray:
-        choice = choose(subproblem(full_problem, held), np.searchsorted(held, start), partial(_at_prior, settings))
-        return np.asarray(held[choice.columns])
+        return np.asarray(held[chosen(subproblem(full_problem, held), np.searchsorted(held, start)).columns])
 
     errors, (_, weights, _) = _insignificant_errors(model, result, columns), solved
     within = fit_files(model, columns, settings.files, errors, among, lambda held: fitted(held, weights=weights)[0])
@@ -193,16 +200,6 @@ def _at_prior(settings: EstimatorSettings, problem: Problem) -> Problem:
     return problem if coupled is None else coupled.problem_at(coupled.problem.prior_point, coupled.trusted)
 
 
-def _solve_with_prior(
-    prior: CoupledPrior | None, problem: Problem, solve: Callable[..., Fit], block_weights: Mapping[str, float] | None
-) -> _Solved:
-    """Return the fit with the coupled prior if there is one, the weights of its blocks, and warning sentences."""
-    if prior is None:
-        return solve(problem), {}, ()
-    fit_with_prior, block_weights = fit_with_coupled_prior(prior, solve, block_weights)
-    return fit_with_prior, block_weights, prior.release_warnings(block_weights)
-
-
 def _kept_columns(model: MeasurementModel, warm: WarmStart) -> IntArray:
     """Columns of the parameters that are not left out."""
     first = model.dimension - len(model.coefficients)
@@ -214,56 +211,45 @@ def _kept_columns(model: MeasurementModel, warm: WarmStart) -> IntArray:
 
 def _least_significant(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
     """Column of the least significant optional effect; none if all are significant. Without it the others may be."""
-    first = model.dimension - len(model.coefficients)
-    effect_columns = columns[columns >= first]
     required = {c.mechanism for c in model.coefficients if not c.optional}
-    significance = _sizes(result)
-    significance[[model.coefficients[column - first].mechanism in required for column in effect_columns]] = np.inf
-    least = float(np.min(significance, initial=np.inf))
-    return np.asarray(effect_columns[(significance < _TAKEN) & (significance <= least)])
+    sizes = {k: size for k, c, size in _insignificant_effects(model, result, columns) if c.mechanism not in required}
+    return np.array([column for column, size in sizes.items() if size == min(sizes.values())], dtype=np.int64)
 
 
 def _insignificant_errors(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
     """Columns of the sensor errors that are not significant."""
+    effects = _insignificant_effects(model, result, columns)
+    return np.array([column for column, c, _ in effects if c.effect.is_sensor_error], dtype=np.int64)
+
+
+def _insignificant_effects(
+    model: MeasurementModel, result: Estimate, columns: IntArray
+) -> Iterator[tuple[int, Coefficient, float]]:
+    """Yield column, coefficient and size, in units of its standard deviation, of each effect that is not
+    significant."""
     first = model.dimension - len(model.coefficients)
-    effect_columns = columns[columns >= first]
-    is_error = np.array(
-        [model.coefficients[column - first].effect.is_sensor_error for column in effect_columns], dtype=bool
-    )
-    return np.asarray(effect_columns[is_error & (_sizes(result) < _TAKEN)])
+    for column, effect in zip(columns[columns >= first].tolist(), result.effects, strict=True):
+        size = abs(effect.value) / max(effect.std, np.finfo(float).tiny)
+        if size < _TAKEN:
+            yield column, model.coefficients[column - first], size
 
 
-def _sizes(result: Estimate) -> FloatArray:
-    """Size of each effect in units of its standard deviation."""
-    return np.array([abs(e.value) / max(e.std, np.finfo(float).tiny) for e in result.effects])
-
-
-def _filter_fraction(summary: RowSummary, cutoff: float) -> float:
-    """Fraction of the rows that are independent after the filter; 1 for rows without times or without a filter."""
+def filtered_fraction(
+    summary: RowSummary, cutoff: float, rows_per_period: float = INDEPENDENT_ROWS_PER_PERIOD
+) -> float:
+    """Fraction of the rows that are independent after the filter: ``rows_per_period`` per period of its ``cutoff``
+    [Hz]; 1 for rows without times or without a filter."""
     if not (np.isfinite(cutoff) and summary.period > 0.0):
         return 1.0
-    return min(INDEPENDENT_ROWS_PER_PERIOD * cutoff * summary.period, 1.0)
-
-
-def _required_columns(model: MeasurementModel) -> IntArray:
-    """Columns of the parameters that are not optional."""
-    first = model.dimension - len(model.coefficients)
-    return np.array([k for k in range(model.dimension) if k < first or not model.coefficients[k - first].optional])
+    return min(rows_per_period * cutoff * summary.period, 1.0)
 
 
 def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
     """Pool slow and fast rows of each channel that has no more fast rows than slow ones, or than unknowns."""
-    required = _required_columns(model)
+    required = required_columns(model)
     unknowns = [np.count_nonzero(np.isin(channel.columns, required)) for channel in model.channels]
     fast, slow, _ = summary.counts().reshape(REGIMES, -1)
     return summary.pooled(fast <= np.maximum(slow, unknowns))
-
-
-def least_inflation(summary: RowSummary, cutoff: float) -> float:
-    """Number of rows per independent row (at least 1) if the noise is white; holds for columns that vary slowly."""
-    if not (np.isfinite(cutoff) and summary.period > 0.0):
-        return 1.0
-    return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
 
 
 def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, settings: EstimatorSettings) -> Estimate:
@@ -281,10 +267,9 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         tolerance = max(settings.tolerance * float(np.min(prior_weights)) / geodesic.scale, np.finfo(float).eps)
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
     by_fold = summary.products(fitted.sigmas, manifold.dimension)
-    least = (
-        least_inflation(summary, settings.cutoff)
-        * _filter_fraction(summary, settings.cutoff)
-        / problem.independent_fraction
+    white, independent = (
+        filtered_fraction(summary, settings.cutoff, per_period)
+        for per_period in (WHITE_ROWS_PER_PERIOD, INDEPENDENT_ROWS_PER_PERIOD)
     )
     errors = uncertainty.estimate_uncertainty(
         [_fold_at(manifold, solution.point, products) for products in by_fold],
@@ -293,7 +278,7 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         prior_weights,
         manifold.log(solution.point, prior_point),
         _parameter_groups(problem),
-        least_inflation=least,
+        least_inflation=1.0 / white * independent / problem.independent_fraction,
         assumed_prior_stds=fitted.assumed_prior_stds,
         expected=_information_at(manifold, solution.point, known.prior_rows),
     )

@@ -80,7 +80,7 @@ class Fit:
     @cached_property
     def rows(self) -> tuple[FloatArray, FloatArray]:
         """Measured rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1."""
-        return self.problem.rows(self.sigmas)
+        return self.problem.summary.compressed(self.sigmas, self.problem.manifold.dimension)
 
     @cached_property
     def objective(self) -> ResidualObjective:
@@ -239,17 +239,16 @@ def _objective(problem: Problem, measured: tuple[FloatArray, FloatArray], prior_
     factor = np.sqrt(max(1.0, 1.0 / problem.independent_fraction))
     rows = np.concatenate([measured[0], factor * problem.known.rows])
     targets = np.concatenate([measured[1], factor * problem.known.targets])
-    ones = np.ones(len(rows))
     link_weight = float(np.exp(np.mean(np.log(weights[manifold.inertial]))))
-    rows_weight = float(np.sum(row_weights(manifold, prior, rows, ones)))
-    gamma, known = max(link_weight / rows_weight, np.finfo(float).tiny), len(problem.known.rows)
-    return ResidualObjective(manifold, rows, targets, ones, prior, gamma, confidence=weights / link_weight, known=known)
+    rows_weight = float(np.sum(row_weights(manifold, prior, rows)))
+    gamma, ones = max(link_weight / rows_weight, np.finfo(float).tiny), np.ones(len(rows))
+    known, confidence = len(problem.known.rows), weights / link_weight
+    return ResidualObjective(manifold, rows, targets, ones, prior, gamma, confidence=confidence, known=known)
 
 
 def _measured_weight(problem: Problem, measured: tuple[FloatArray, FloatArray]) -> float:
     """Sum of the measured rows' weights."""
-    rows, _ = measured
-    return float(np.sum(row_weights(problem.manifold, problem.prior_point, rows, np.ones(len(rows)))))
+    return float(np.sum(row_weights(problem.manifold, problem.prior_point, measured[0])))
 
 
 def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution) -> FloatArray:

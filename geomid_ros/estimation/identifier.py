@@ -67,11 +67,15 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class RowCounts:
-    """Numbers of rows since the last reset: ``made = taken + sum(rejected by reason)``."""
+    """Numbers of rows since the last reset: taken, and rejected by reason."""
 
-    made: int
     taken: int
     rejected: Counter[str]
+
+    @property
+    def made(self) -> int:
+        """Number of all rows."""
+        return self.taken + self.rejected.total()
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +127,6 @@ class Identifier:
     def _begin_anew(self) -> None:
         self._summary = self._empty_summary()
         self._recent = RevocableBuffer()
-        self._made = 0
         self._rejected: Counter[str] = Counter()
         self._last_pose: FloatArray | None = None
         self._last_stamp: int | None = None
@@ -155,52 +158,32 @@ class Identifier:
         """
         rows = self.model.rows(samples)
         rows.coefficients[:, :, absent_columns] = 0.0
-        moving = np.zeros(len(samples), dtype=bool)
-        elapsed = np.zeros(len(samples))
-        motion_regimes = self._regimes(samples)
+        motion_regimes = np.zeros(rows.targets.shape, dtype=np.int64)  # of efforts those of their joint, else 0
+        if self.model.layout.efforts:
+            motion_regimes[:, self.model.layout.efforts] = regimes(samples)
         is_measured = usable(rows.coefficients, rows.targets)
         counts, targets = np.count_nonzero(is_measured, axis=1), np.where(is_measured, rows.targets, np.nan)
         targets -= 0.0 if payload_parameters is None else rows.coefficients @ payload_parameters
         speeds = np.max(np.abs(np.concatenate([samples.velocity, samples.base_velocity], axis=1)), axis=1)
         poses = np.concatenate([samples.position, samples.base_pose], axis=1)
         with self._lock:
-            self._made += is_measured.size
             self._rejected[NOT_MEASURED] += is_measured.size - int(np.sum(counts))
-            for index in range(len(samples)):
-                elapsed[index] = self._elapsed(int(samples.stamps[index]))
-                if self._is_still(float(speeds[index]), poses[index]):
-                    self._rejected[STANDING_STILL] += int(counts[index])
-                else:
-                    moving[index] = True
-            moved = slice(None) if moving.all() else moving  # a slice copies nothing
+            moved: slice | BoolArray = slice(None)  # a slice copies nothing
+            still = np.array([self._is_still(*pair) for pair in zip(speeds.tolist(), poses, strict=True)], dtype=bool)
+            if np.any(still):
+                self._rejected[STANDING_STILL] += int(np.sum(counts[still]))
+                moved = ~still
             taken, motion_regimes = Rows(rows.coefficients[moved], rows.targets[moved]), motion_regimes[moved]
-            self._take(taken.coefficients, targets[moved], elapsed[moved], motion_regimes, samples.states[moved])
+            targets, elapsed, states = targets[moved], self._elapsed(samples.stamps)[moved], samples.states[moved]
+            if self._held == 0 and self._recent.idle:  # the buffer would only pass them on
+                self._summary.add(taken.coefficients, targets, elapsed, motion_regimes, states)
+                self.sample_count += len(elapsed)
+            else:
+                for instant in zip(taken.coefficients, targets, elapsed.tolist(), motion_regimes, states, strict=True):
+                    self._recent.append(BufferedSample(self.sample_count, *instant))
+                    self.sample_count += 1
+                self._settle_before(self.sample_count - self._held)
         return samples.stamps[moved], taken, motion_regimes == REGIMES - 1
-
-    def _take(
-        self,
-        coefficients: FloatArray,
-        targets: FloatArray,
-        elapsed: FloatArray,
-        motion_regimes: IntArray,
-        states: FloatArray,
-    ) -> None:
-        """Take the rows of samples in which something moved."""
-        if self._held == 0 and self._recent.idle:  # the buffer would only pass them on
-            self._summary.add(coefficients, targets, elapsed, motion_regimes, states)
-            self.sample_count += len(elapsed)
-            return
-        for instant in zip(coefficients, targets, elapsed.tolist(), motion_regimes, states, strict=True):
-            self._recent.append(BufferedSample(self.sample_count, *instant))
-            self.sample_count += 1
-        self._settle_before(self.sample_count - self._held)
-
-    def _regimes(self, samples: Samples) -> IntArray:
-        """Regime of motion of each channel ``(N, channels)``: for efforts that of their joint, else 0."""
-        channel_regimes = np.zeros((len(samples), len(self.model.channels)), dtype=np.int64)
-        if self.model.layout.efforts:
-            channel_regimes[:, self.model.layout.efforts] = regimes(samples)
-        return channel_regimes
 
     def _settle_before(self, number: float) -> None:
         settled = list[BufferedSample]()
@@ -239,10 +222,13 @@ class Identifier:
         with self._lock:
             return self._recent.restore_rows(reason, begin)
 
-    def _elapsed(self, stamp: int) -> float:
-        """Seconds since the last sample: 0 if time goes back or for the first sample, at most :data:`LONGEST_STEP`."""
-        before, self._last_stamp = self._last_stamp, stamp
-        return 0.0 if before is None else min(max(0.0, 1e-9 * (stamp - before)), LONGEST_STEP)
+    def _elapsed(self, stamps: IntArray) -> FloatArray:
+        """Seconds since the sample before ``(N,)``: 0 if time goes back or for the first sample, at most
+        :data:`LONGEST_STEP`."""
+        before = stamps[:1] if self._last_stamp is None else [self._last_stamp]
+        if len(stamps):
+            self._last_stamp = int(stamps[-1])
+        return np.clip(1e-9 * np.diff(stamps, prepend=before), 0.0, LONGEST_STEP)
 
     def _is_still(self, speed: float, pose: FloatArray) -> bool:
         still = (
@@ -265,20 +251,10 @@ class Identifier:
         return self._summary.rows + self._recent.rows
 
     @property
-    def made(self) -> int:
-        """Number of rows made so far."""
-        return self._made
-
-    @property
     def counts(self) -> RowCounts:
         """Numbers of all rows so far, taken and rejected."""
         with self._lock:
-            return RowCounts(self._made, self._taken, self._rejected + self._recent.rejected)
-
-    @property
-    def rows_rejected(self) -> Counter[str]:
-        """Numbers of rejected rows, by reason."""
-        return self.counts.rejected
+            return RowCounts(self._taken, self._rejected + self._recent.rejected)
 
     def has_grown_beyond(self, rows: int, share: float) -> bool:
         """True if more than this fraction ``share`` of the rows in memory came after the first ``rows`` rows."""
@@ -328,7 +304,6 @@ class Identifier:
             self._begin_anew()
             self._summary = summary
             self._rejected = memory.rows_rejected.copy()
-            self._made = summary.rows + self._rejected.total()
             self._last_pose, self._last_stamp = memory.last_pose, memory.last_stamp
 
     def solve(self, warm: WarmStart | None = None) -> Estimate:

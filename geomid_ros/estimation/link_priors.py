@@ -1,4 +1,8 @@
-"""Priors that couple links: those of links that are alike, or of the population of the robot's type.
+"""Priors that couple parameters: those of links that are alike, or of the population of the robot's type.
+
+Minus twice the log prior is ``|R t|^2`` with the tangent coordinates t at its mean. It enters the fit as rows,
+linearised where the fit ended, until that point does not move: the minimum is that of the geodesic prior. A block of
+coordinates that contradicts the prior is released from it, by the weight that a t-distribution gives to its distance.
 
 The errors of alike parts have a common part, of the default std s, and an individual part, a fifth of it. With the
 tangent coordinates d_i of n links at their priors, mirrored to those of the first, the covariance of the errors is
@@ -11,22 +15,28 @@ effect is released, its covariance is divided by its weight, and correlations st
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.coupled_prior import RELEASED_BELOW, CoupledPrior
-from geomid_ros.estimation.fit import CERTAINTY, prior_std_cost, reestimated_prior_stds
+from geomid_ros.estimation.fit import CERTAINTY, Fit, prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
+from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.model.alike_parts import ALIKE_PRIOR_STD, AlikeParts
-from geomid_ros.types import FloatArray
+from geomid_ros.model.weighed_masses import WeighedRows
+from geomid_ros.types import FloatArray, IntArray
+
+_RELEASED_BELOW = 0.5  # weight below which a block is reported as released
+_LOOSE = 1.0  # prior std of the links alone; it only bounds directions that the population leaves undetermined
 
 
 def common_prior_stds(parts: Sequence[AlikeParts], default_stds: FloatArray) -> FloatArray:
@@ -79,59 +89,115 @@ def individual_std_cost(parts: Sequence[AlikeParts], individual_stds: FloatArray
     return cost
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CoupledPrior(ABC):
+    """Prior of some of a problem's parameters.
+
+    Attributes:
+        problem: the problem, without the prior's rows.
+        columns: its parameters with this prior ``(k,)``.
+        manifold, mean: manifold of these, and the point at which their tangent coordinates are zero.
+        names: names of the blocks that can be released.
+        freedom: degrees of freedom of the t-distribution of each block's distance.
+    """
+
+    problem: Problem
+    columns: IntArray
+    manifold: ParameterManifold
+    mean: Point
+    names: tuple[str, ...]
+    freedom: float
+
+    @abstractmethod
+    def root(self, weights: Mapping[str, float]) -> FloatArray:
+        """Rows ``(r, k)`` of the tangent coordinates, for these weights of the blocks."""
+
+    @abstractmethod
+    def block_distances(self, weights: Mapping[str, float], /) -> Iterable[FloatArray]:
+        """Rows ``(r, k)`` per block that map the tangent coordinates to its distance, in units of the default size."""
+
+    @abstractmethod
+    def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
+        """Yield a sentence for each block that was released."""
+
+    @property
+    def trusted(self) -> dict[str, float]:
+        """Weights of the blocks if none is released."""
+        return dict.fromkeys(self.names, 1.0)
+
+    def tangent(self, point: Point) -> FloatArray:
+        """Coordinates ``(k,)`` at the mean of a point of the problem's manifold."""
+        return self.manifold.log(self.mean, self.manifold.point(point.parameters[self.columns]))
+
+    def problem_at(self, point: Point, weights: Mapping[str, float]) -> Problem:
+        """Return the problem with the prior's rows, linearised at ``point``, for these weights of the blocks."""
+        tangent, root = self.tangent(point), self.root(weights)
+        blocks, diagonal = self.manifold.exp_jacobian(self.mean, tangent)
+        rows = np.zeros((len(root), self.problem.model.dimension))
+        rows[:, self.columns] = self.manifold.by_blocks(root, np.asarray(np.linalg.inv(blocks)), 1.0 / diagonal)
+        targets = rows @ point.parameters - root @ tangent
+        return self.problem.with_known_rows(WeighedRows(rows, targets))
+
+    def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
+        """Weights of the blocks, from the expected squares of their coordinates at a fit."""
+        tangent = self.tangent(found.search_point)
+        expected = np.column_stack([tangent, self._covariance_root(found, tangent)])
+        weights = {}
+        for name, off in zip(self.names, self.block_distances(before), strict=True):
+            square = float(np.sum((off @ expected) ** 2))
+            weights[name] = min(1.0, (self.freedom + len(off)) / (self.freedom + square))
+        return weights
+
+    def _covariance_root(self, fit: Fit, tangent: FloatArray) -> FloatArray:
+        """Root ``(k, r)`` of the posterior covariance, in the prior's coordinates."""
+        parent, manifold = self.problem.manifold, self.manifold
+        blocks, diagonal = manifold.exp_jacobian(self.mean, tangent)
+        links = manifold.point(fit.search_point.parameters[self.columns]).links_jacobian
+        rest = parent.jacobian(fit.search_point)[1][self.columns[manifold.inertial.stop :] - parent.inertial.stop]
+        root = definite.roots(fit.information, int(np.max(self.columns, initial=-1)) + 1)[self.columns]
+        moved = np.swapaxes(np.linalg.solve(blocks, links), -1, -2)
+        return manifold.by_blocks(root.T, moved, rest / diagonal).T
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class AlikePrior(CoupledPrior):
-    """Prior of the groups of alike ``parts``."""
+    """Prior of the groups of alike ``parts``; its blocks are their links."""
 
     parts: Sequence[AlikeParts]
 
     @staticmethod
     def of(parts: Sequence[AlikeParts], problem: Problem) -> AlikePrior:
         """Build the prior of a problem whose links have the URDF's prior."""
-        prior_stds, columns = (
-            common_prior_stds(parts, problem.default_stds),
-            np.arange(len(problem.model.nominal_inertias)),
+        separate = replace(problem, given_stds=common_prior_stds(parts, problem.default_stds))
+        manifold = ParameterManifold(len(problem.model.body_names), 0, np.zeros(0))
+        columns = np.arange(manifold.dimension)
+        return AlikePrior(
+            problem=separate,
+            columns=columns,
+            manifold=manifold,
+            mean=manifold.point(separate.prior[columns]),
+            names=tuple(name for group in parts for name in group.names),
+            freedom=CERTAINTY,
+            parts=parts,
         )
-        return AlikePrior(replace(problem, given_stds=prior_stds), columns, parts)
-
-    @cached_property
-    def manifold(self) -> ParameterManifold:
-        """Manifold of the links."""
-        return ParameterManifold(self.problem.manifold.links, 0, np.zeros(0))
-
-    @cached_property
-    def mean(self) -> Point:
-        """Priors of the links."""
-        return self.manifold.point(self.problem.prior[self.columns])
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the alike links."""
-        return tuple(name for group in self.parts for name in group.names)
-
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom of the default prior std of a link."""
-        return CERTAINTY
 
     def root(self, weights: Mapping[str, float]) -> FloatArray:
         """Deviation of each link from the common part, in units of its individual std."""
-        return alike_rows(self.parts, self._own(weights), len(self.columns))
+        return alike_rows(self.parts, self._individual_stds(weights), len(self.columns))
 
     def block_distances(self, weights: Mapping[str, float], /) -> FloatArray:
         """Deviation of each link from the weighted mean of the alike ones, in units of the default individual std."""
-        return np.asarray(
-            deviation_from_common(self.parts, self._own(weights), np.eye(len(self.columns))) / ALIKE_PRIOR_STD
-        )
+        stds, units = self._individual_stds(weights), np.eye(len(self.columns))
+        return np.asarray(deviation_from_common(self.parts, stds, units) / ALIKE_PRIOR_STD)
 
-    def _own(self, weights: Mapping[str, float]) -> FloatArray:
+    def _individual_stds(self, weights: Mapping[str, float]) -> FloatArray:
         return ALIKE_PRIOR_STD * np.array([weights[name] for name in self.names]) ** -0.5
 
     def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
         """Yield a sentence for each link that is unlike the others."""
         for group in self.parts:
             for name in group.names:
-                if weights[name] < RELEASED_BELOW:
+                if weights[name] < _RELEASED_BELOW:
                     others = ", ".join(other for other in group.names if other != name)
                     yield (
                         f"link '{name}' differs from {others}, which are identical parts in the URDF; its prior is no "
@@ -139,12 +205,10 @@ class AlikePrior(CoupledPrior):
                     )
 
 
-_LOOSE = 1.0  # prior std of the links alone; it only bounds directions that the population leaves undetermined
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PopulationPrior(CoupledPrior):
-    """Prior from a ``population``; parameters that it does not contain keep the default prior."""
+    """Prior from a ``population``; parameters that it does not contain keep the default prior. Its blocks are the
+    population's links and effects."""
 
     population: Population
 
@@ -175,22 +239,15 @@ class PopulationPrior(CoupledPrior):
         given = np.full(model.dimension, np.nan)
         given[columns] = subset.parameters
         prior_stds = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.default_stds)
-        return PopulationPrior(replace(problem, given_parameters=given, given_stds=prior_stds), columns, subset)
-
-    @property
-    def manifold(self) -> ParameterManifold:
-        """Manifold of the population."""
-        return self.population.manifold
-
-    @property
-    def mean(self) -> Point:
-        """Mean of the population."""
-        return self.population.point
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the population's links and effects."""
-        return tuple(self.population.blocks)
+        return PopulationPrior(
+            problem=replace(problem, given_parameters=given, given_stds=prior_stds),
+            columns=columns,
+            manifold=subset.manifold,
+            mean=subset.point,
+            names=tuple(subset.blocks),
+            freedom=subset.robots + SHARED,
+            population=subset,
+        )
 
     @cached_property
     def _own(self) -> FloatArray:
@@ -208,26 +265,46 @@ class PopulationPrior(CoupledPrior):
             prior_stds[block] *= weights[name] ** 0.5
         return np.asarray(beyond_prior(self.population.covariance, prior_stds) / self._own)
 
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom: the population's robots and :data:`SHARED`."""
-        return self.population.robots + SHARED
-
     def block_distances(self, _: Mapping[str, float], /) -> Iterator[FloatArray]:
         """Yield rows that whiten each block by the population's covariance."""
-        for name in self.names:
-            block = self.population.blocks[name]
+        for block in self.population.blocks.values():
             rows = np.zeros((len(block), len(self.columns)))
-            factor = np.linalg.cholesky(self.population.covariance[np.ix_(block, block)])
-            rows[:, block] = np.linalg.inv(factor)
+            rows[:, block] = np.linalg.inv(np.linalg.cholesky(self.population.covariance[np.ix_(block, block)]))
             yield rows
 
     def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
         """Yield a sentence for each link or effect that is unlike the population's."""
         for name, weight in weights.items():
-            if weight < RELEASED_BELOW:
+            if weight < _RELEASED_BELOW:
                 label = f"link '{name}'" if name in self.population.links else f"the {name.replace('_', ' ')} of joints"
                 yield (
                     f"{label} differs from that of the {self.population.robots} robots of the prior, which no longer "
                     "constrains it; check for a tool left on, a repair, or a robot of another type"
                 )
+
+
+def fit_with_coupled_prior(
+    prior: CoupledPrior, solve: Callable[..., Fit], given: Mapping[str, float] | None = None
+) -> tuple[Fit, Mapping[str, float]]:
+    """Fit a problem with a coupled prior.
+
+    Args:
+        prior: the prior of the problem.
+        solve: fits a problem, like :func:`~geomid_ros.estimation.fit.fit` with its other arguments fixed.
+        given: the weights of the prior's blocks, if known.
+
+    Returns:
+        The fit of the problem with the prior's rows, and the weights of the prior's blocks. ``budget_exhausted`` is
+        True for a fit that did not settle.
+    """
+    given = given and {**prior.trusted, **given}  # blocks that are not given keep their prior
+    found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted))
+    weights = given or prior.weights(found, prior.trusted)
+    for _ in range(ROUNDS):
+        point, before = found.search_point, weights
+        found = solve(prior.problem_at(point, weights), start=point, prior_stds=found.prior_stds)
+        weights = given or prior.weights(found, before)
+        change = max(abs(np.log(weights[name] / before[name])) for name in weights)
+        if change < SETTLED and np.max(np.abs(prior.tangent(found.search_point) - prior.tangent(point))) < SETTLED:
+            return found, weights
+    return replace(found, budget_exhausted=True), weights

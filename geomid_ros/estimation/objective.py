@@ -264,12 +264,14 @@ def dual_metric(manifold: ParameterManifold, point: Point) -> FloatArray:
     return metric
 
 
-def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:
-    """Weights ``(N,)`` of Remark 2."""
+def row_weights(
+    manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray | float = 1.0
+) -> FloatArray:
+    """Weights ``(N,)`` of Remark 2, for standard deviations ``sigmas (N,)``."""
     weights = np.empty(len(rows))
     for chunk in _chunks(len(rows)):
-        weights[chunk] = np.sum(manifold.whiten(prior, rows[chunk]) ** 2, axis=1) / sigmas[chunk] ** 2
-    return weights
+        weights[chunk] = np.sum(manifold.whiten(prior, rows[chunk]) ** 2, axis=1)
+    return np.asarray(weights / sigmas**2)
 
 
 def _chunks(count: int) -> Iterator[slice]:

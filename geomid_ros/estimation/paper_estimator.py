@@ -103,19 +103,18 @@ def solve_rows(
         gamma = choose_gamma(manifold, rows / sigmas[:, None], targets / sigmas, start, objective, exact=exact)
     # The prior bounds the curvature from below, so that this gradient keeps the result within the tolerance.
     gradient = max(tolerance * gamma / (1.0 + gamma), LEAST_GRADIENT)
-    minimised: GeodesicObjective | ResidualObjective
     set_aside = np.zeros(len(rows), dtype=bool)
     if objective == "residual":
-        minimised = ResidualObjective(manifold, rows, targets, sigmas, start, gamma)
-        solution = trust_region(minimised, _minimiser_of_remark_3(minimised), gradient, max_steps)
+        residual = ResidualObjective(manifold, rows, targets, sigmas, start, gamma)
+        solution = trust_region(residual, _minimiser_of_remark_3(residual), gradient, max_steps)
     else:
         if not exact and len(rows) > manifold.dimension:
             rows, targets = principal_rows(manifold, start, np.column_stack([rows, targets]) / sigmas[:, None])
             sigmas = np.ones(len(rows))
-        minimised = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
-        set_aside = minimised.set_aside
+        geodesic = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
+        set_aside = geodesic.set_aside
         solve = _from_remark_3 if solver == "trust_region" else SOLVERS[solver]
-        solution = solve(minimised, start, gradient, max_steps)
+        solution = solve(geodesic, start, gradient, max_steps)
     parameters = frozen(pseudo_inertia.to_parameters(solution.point.pseudo_inertias))
     return RowsSolution(parameters, gamma, set_aside, solution)
 
@@ -215,19 +214,18 @@ def best_weight(losses: Sequence[float]) -> float:
 
 def _from_remark_3(objective: GeodesicObjective, start: Point, tolerance: float, max_steps: int) -> Solution:
     """Solve by the trust region from the minimiser of Remark 3, or from ``start``, the prior, if that is lower."""
-    direct = _minimiser_of_remark_3(objective)
+    rows, targets, sigmas = objective.rows, objective.targets, objective.sigmas
+    residual = ResidualObjective(objective.manifold, rows, targets, sigmas, objective.prior, objective.gamma)
+    direct = _minimiser_of_remark_3(residual)
     evaluation = objective.evaluate(direct)
     if evaluation.value < objective.value_at_prior:
         return trust_region(objective, direct, tolerance, max_steps, evaluation=evaluation)
     return trust_region(objective, start, tolerance, max_steps)
 
 
-def _minimiser_of_remark_3(objective: GeodesicObjective | ResidualObjective) -> Point:
+def _minimiser_of_remark_3(objective: ResidualObjective) -> Point:
     """Approximate minimiser of Remark 3 as a start, from products of the rows, which is the fastest way."""
     manifold, prior = objective.manifold, objective.prior
-    if isinstance(objective, GeodesicObjective):
-        rows, targets, sigmas = objective.rows, objective.targets, objective.sigmas
-        objective = ResidualObjective(manifold, rows, targets, sigmas, prior, objective.gamma)
     weight = float(np.sum(dual_metric(manifold, prior) * objective.products[:-1, :-1]))
     content = ProductsObjective(manifold, objective.products, prior, objective.prior_weights, weight)
     return trust_region(content, prior, _START_TOLERANCE, radius=_RADIUS).point

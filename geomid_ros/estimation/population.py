@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,15 +58,7 @@ class RobotLikelihood(RobotParameters):
         others = np.setdiff1d(np.arange(len(self.parameters)), kept)
         stacked = np.column_stack([self.rows, self.targets])[:, [*others, *kept, -1]]
         reduced = triangular(stacked)[len(others) :, len(others) :]
-        return replace(
-            self,
-            effects=tuple(effects),
-            rows=reduced[:, :-1],
-            targets=reduced[:, -1],
-            parameters=self.parameters[kept],
-            prior=self.prior[kept],
-            scales=self.scales_of(effects),
-        )
+        return self._part(self.links, effects, rows=reduced[:, :-1], targets=reduced[:, -1], prior=self.prior[kept])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,14 +78,7 @@ class Population(RobotParameters):
     def part(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> Population:
         """Distribution of some of the links and effects, in the given order."""
         kept = self.columns(links, effects)
-        return replace(
-            self,
-            links=tuple(links),
-            effects=tuple(effects),
-            parameters=self.parameters[kept],
-            covariance=self.covariance[np.ix_(kept, kept)],
-            scales=self.scales_of(effects),
-        )
+        return self._part(links, effects, covariance=self.covariance[np.ix_(kept, kept)])
 
 
 def common_likelihoods(robots: Sequence[RobotLikelihood]) -> list[RobotLikelihood]:
@@ -110,8 +96,7 @@ def common_likelihoods(robots: Sequence[RobotLikelihood]) -> list[RobotLikelihoo
     return [robot.of_effects(effects) for robot in robots]
 
 
-@dataclass(frozen=True, eq=False)
-class _Contribution:
+class _Contribution(NamedTuple):
     """Contribution of a robot in a round: ``information (D, D)`` on the mean, the right-hand side ``pull (D,)`` of
     ``information @ mean = pull``, and its expected ``squares (D, D)``."""
 
@@ -151,7 +136,7 @@ class PopulationFit:
     def without(self, index: int) -> Population:
         """Population of the other robots, by one round."""
         others = [share for place, share in enumerate(self._contributions) if place != index]
-        mean_covariance, tangent = self._mean_of(others)
+        mean_covariance, tangent = self._mean_of([share[:2] for share in others])
         mean = self._manifold.exp(self._mean, tangent)
         return self._population(mean, self._between(others) + mean_covariance, len(others))
 
@@ -178,18 +163,17 @@ class PopulationFit:
         between = np.linalg.inv(self._covariance)
         linearised = [linear(manifold, self._mean, *pair) for pair in zip(self._robots, self._points, strict=True)]
         covariances = [np.linalg.inv(between + information) for information, _ in linearised]
-        nothing = np.zeros_like(between)
-        self._contributions = [
-            _Contribution(between - between @ covariance @ between, between @ (covariance @ pull), nothing)
+        on_mean = [
+            (between - between @ covariance @ between, between @ (covariance @ pull))
             for (_, pull), covariance in zip(linearised, covariances, strict=True)
         ]
-        self._of_mean, mean = self._mean_of(self._contributions)
-        ends = []
-        for index, ((_, pull), covariance) in enumerate(zip(linearised, covariances, strict=True)):
+        self._of_mean, mean = self._mean_of(on_mean)
+        self._contributions, ends = [], []
+        for share, (_, pull), covariance in zip(on_mean, linearised, covariances, strict=True):
             tangent = covariance @ (between @ mean + pull)
             shrinkage = covariance @ between - np.eye(len(mean))
             squares = np.outer(tangent - mean, tangent - mean) + covariance + shrinkage @ self._of_mean @ shrinkage.T
-            self._contributions[index] = replace(self._contributions[index], squares=squares)
+            self._contributions.append(_Contribution(*share, squares))
             ends.append(tangent)
         before = np.diag(self._covariance)
         self._covariance = self._between(self._contributions)
@@ -198,11 +182,12 @@ class PopulationFit:
         change = np.max(np.abs(np.log(np.diag(self._covariance) / before)))
         return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < SETTLED)
 
-    def _mean_of(self, parts: Sequence[_Contribution]) -> tuple[FloatArray, FloatArray]:
-        """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, from robots and prior."""
+    def _mean_of(self, on_mean: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+        """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, from the prior and each robot's
+        information and pull."""
         weights = self._usual**-2.0
-        information = np.diag(weights) + np.sum([part.information for part in parts], axis=0)
-        pull = weights * self._manifold.log(self._mean, self._prior) + np.sum([part.pull for part in parts], axis=0)
+        information = np.diag(weights) + np.sum([information for information, _ in on_mean], axis=0)
+        pull = weights * self._manifold.log(self._mean, self._prior) + np.sum([pull for _, pull in on_mean], axis=0)
         covariance = np.linalg.inv(information)
         return covariance, covariance @ pull
 

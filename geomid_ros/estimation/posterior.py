@@ -3,9 +3,11 @@ estimate."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -86,10 +88,17 @@ class RobotParameters:
         link_columns = (10 * self.links.index(name) + k for name in links for k in range(10))
         return [*link_columns, *(first + self.effects.index(effect) for effect in effects)]
 
-    def scales_of(self, effects: Sequence[EffectCoordinate]) -> FloatArray:
-        """Scales of the real coefficients among some of the effects."""
+    def _part(self, links: Sequence[str], effects: Sequence[EffectCoordinate], **changes: FloatArray) -> Self:
+        """Parameters of some links and effects, in the given order, with other ``changes`` of attributes."""
         scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
-        return frozen([scales[effect] for effect in effects if not effect.positive])
+        return replace(
+            self,
+            links=tuple(links),
+            effects=tuple(effects),
+            parameters=frozen(self.parameters[self.columns(links, effects)]),
+            scales=frozen([scales[effect] for effect in effects if not effect.positive]),
+            **changes,
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -145,26 +154,15 @@ class Posterior(RobotParameters):
 
     def with_effects(self, effects: Sequence[EffectCoordinate]) -> Posterior:
         """Return it with the effects in another order, the positive ones first. Raises ValueError for other effects."""
-        remaining = list(enumerate(self.effects))
-        places = []
-        for effect in effects:
-            place = next((place for place, other in remaining if other == effect), None)
-            if place is None:
-                raise ValueError(f"it has no {effect.name} of {effect.place}")
-            remaining.remove((place, effect))
-            places.append(place)
-        if remaining:
-            raise ValueError(f"it has a {remaining[0][1].name} of {remaining[0][1].place}")
-        first, positive = self.manifold.inertial.stop, len(self.effects) - len(self.scales)
-        order = np.concatenate([np.arange(first), first + np.array(places, dtype=np.int64)])
-        return replace(
-            self,
-            effects=tuple(effects),
-            parameters=frozen(self.parameters[order]),
-            covariance=frozen(self.covariance[np.ix_(order, order)]),
-            scales=frozen(self.scales[np.array(places[positive:], dtype=np.int64) - positive]),
-            prior=frozen(self.prior[order]),
-            prior_stds=frozen(self.prior_stds[order]),
+        wanted, present = Counter(effects), Counter(self.effects)
+        for effect in wanted - present:
+            raise ValueError(f"it has no {effect.name} of {effect.place}")
+        for effect in present - wanted:
+            raise ValueError(f"it has a {effect.name} of {effect.place}")
+        order = self.columns(self.links, effects)
+        covariance, prior = frozen(self.covariance[np.ix_(order, order)]), frozen(self.prior[order])
+        return self._part(
+            self.links, effects, covariance=covariance, prior=prior, prior_stds=frozen(self.prior_stds[order])
         )
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:

@@ -135,8 +135,7 @@ class Problem:
     @cached_property
     def known_weight(self) -> float:
         """Sum of the weights (Remark 2) of the known rows."""
-        ones = np.ones(len(self.known.rows))
-        return self._known_factor * float(np.sum(row_weights(self.manifold, self.prior_point, self.known.rows, ones)))
+        return self._known_factor * float(np.sum(row_weights(self.manifold, self.prior_point, self.known.rows)))
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -148,14 +147,6 @@ class Problem:
         """Standard deviation of the part of each group that no parameters can explain."""
         return first_sigmas(self.summary, self.model.dimension)
 
-    def rows(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compressed measured rows and targets, in units of their standard deviations ``(groups,)``."""
-        return self.summary.compressed(sigmas, self.manifold.dimension)
-
-    def squares(self, parameters: FloatArray) -> FloatArray:
-        """Sums of squares of each group's residuals."""
-        return np.maximum(self.products.squares(np.append(parameters, -1.0)), 0.0)
-
     def noise(self, parameters: FloatArray) -> FloatArray:
         """Most likely standard deviation of each group at ``parameters (D,)``.
 
@@ -163,9 +154,9 @@ class Problem:
         no more rows than unknowns does not determine its noise, unless a group of faster motion does.
         """
         columns = np.array([len(channel.columns) for channel in self.model.channels])
-        counts, squares, least = (
-            values.reshape(REGIMES, -1) for values in (self.counts, self.squares(parameters), self.least_sigmas)
-        )
+        residual_squares = np.maximum(self.products.squares(np.append(parameters, -1.0)), 0.0)
+        of_groups = self.counts, residual_squares, self.least_sigmas
+        counts, squares, least = (values.reshape(REGIMES, -1) for values in of_groups)
         informative = counts > columns
         estimated = np.maximum(np.sqrt(squares / np.maximum(counts, 1.0)), np.where(informative, least, 0.0))
         determined = np.logical_or.accumulate(informative)
@@ -211,6 +202,12 @@ class Problem:
     def first_noise(self) -> FloatArray:
         """Standard deviations ``(groups,)`` with which the search for the noise starts."""
         return self._with_given(self.least_sigmas)
+
+
+def required_columns(model: MeasurementModel) -> IntArray:
+    """Columns of the parameters that are not optional, effects in their default shape."""
+    is_required = [True] * len(model.nominal_inertias) + [not c.optional for c in model.coefficients]
+    return np.flatnonzero(is_required)
 
 
 def subproblem(problem: Problem, columns: IntArray) -> Problem:

@@ -27,15 +27,6 @@ LEAST_SHARE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class StraightManifold(ParameterManifold):
-    """The manifold with steps along straight lines of the parameters instead of geodesics."""
-
-    def exp(self, base: Point, tangent: FloatArray) -> Point:
-        """End of the straight step that leaves ``base`` with tangent coordinates ``(D,)``."""
-        return self.straight(base, tangent)
-
-
-@dataclass(frozen=True, eq=False)
 class Profile:
     """Data of C channels of unknown noise: ``products`` of the D columns and the target, ``counts
     (C,)`` of rows, the ``prior``, and ``floors (C,)`` of the noise."""
@@ -55,11 +46,6 @@ class Profile:
     def squares(self, point: Point) -> FloatArray:
         """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""
         return np.maximum(self.products.squares(np.append(point.parameters, -1.0)), self.least)
-
-    def weighed(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Sums of squares ``(C,)`` at ``vector (D + 1,)``, the parameters and -1; and the sum ``(D + 1, D + 1)`` of the
-        products, each times its channel's count over its sum of squares, at least ``least (C,)``."""
-        return self.products.weighed_by_squares(vector, self.counts, self.least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +77,7 @@ class ProfileObjective:
         """Return value, gradient, information and Hessian along straight lines at ``point``."""
         profile = self.profile
         vector = np.append(point.parameters, -1.0)
-        squares, products = profile.weighed(vector)
+        squares, products = profile.products.weighed_by_squares(vector, profile.counts, profile.least)
         noise = np.maximum(squares, profile.least)
         value, slope = 0.5 * float(profile.counts @ (np.log(noise) + squares / noise - 1.0)), (products @ vector)[:-1]
         return with_prior(self.manifold, point, profile.prior, self.weights, (value, slope, products), self.known)

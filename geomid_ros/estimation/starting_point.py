@@ -14,7 +14,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES, REST_SPEED
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this fraction of the channel's size.
 _LEAST_SHARE = 1e-2
@@ -146,9 +146,7 @@ def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
 
 
 def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Stack several channels, scaled to equal weight: columns ``(k,)`` and factor ``(rows, k + 1)``."""
-    if len(factors) == 1:
-        return columns[0], factors[0]
+    """Stack channels, scaled to equal weight: columns ``(k,)`` and factor ``(rows, k + 1)``."""
     union = np.unique(np.concatenate(columns))
     blocks = []
     for indices, factor, size in zip(columns, factors, sizes, strict=True):
@@ -206,7 +204,8 @@ def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
             break
         free[np.argmax(slopes)] = True
         while np.any(free):
-            best = _solved(regressor, targets, free)
+            best = np.zeros(len(x))
+            best[free] = np.linalg.lstsq(regressor[:, free], targets, rcond=None)[0]
             blocked = free & (best <= 0.0)
             if not np.any(blocked):
                 x = best
@@ -216,11 +215,4 @@ def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
             fractions = np.where(blocked, x / distances, np.inf)
             free &= fractions > np.min(fractions)
             x = np.where(free, x + np.min(fractions) * (best - x), 0.0)
-    return x
-
-
-def _solved(regressor: FloatArray, targets: FloatArray, free: BoolArray) -> FloatArray:
-    """Least-squares solution in the ``free (k,)`` columns; the other coefficients are zero."""
-    x = np.zeros(len(free))
-    x[free] = np.linalg.lstsq(regressor[:, free], targets, rcond=None)[0]
     return x

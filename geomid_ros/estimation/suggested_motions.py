@@ -18,7 +18,7 @@ from geomid_ros.estimation.estimate_parts import deviations_of, sensitivity_of_n
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified
 from geomid_ros.estimation.uncertainty import with_enlarged_prior
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import ACCELERATION_PER_SPEED, Samples, random_states, samples_of
 from geomid_ros.types import FloatArray
@@ -45,9 +45,8 @@ def suggested_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, 
     suggestions: dict[str, dict[str, list[str]]] = {name: {} for name in remaining}
     if not any(remaining.values()):
         return suggestions
-    problem = _KnownLinks(estimate)
     for motion, rows in _candidate_motions(model, estimate):
-        for link, identified_names in zip(estimate.links, problem.identified_with(rows), strict=True):
+        for link, identified_names in zip(estimate.links, _identified_with(rows, estimate), strict=True):
             gained = [quantity for quantity in remaining[link.name] if quantity in identified_names]
             if gained:
                 suggestions[link.name][motion] = gained
@@ -58,35 +57,22 @@ def suggested_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, 
     return suggestions
 
 
-class _KnownLinks:
-    """Information of an estimate's data on all links together, and the prior."""
-
-    def __init__(self, estimate: Estimate) -> None:
-        self._of_prior = [link.std_prior for link in estimate.links]
-        self._manifold = ParameterManifold(len(estimate.links), 0, np.zeros(0))
-        self._point: Point = self._manifold.point(estimate.parameters[self._manifold.inertial])
-        self._spreads = np.repeat(estimate.prior_stds, 10)
-        self._sensitivity = sensitivity_of_numbers(self._point)
-        self._rows = self._scaled(estimate.information.rows)
-
-    def _scaled(self, rows: FloatArray) -> FloatArray:
-        """Rows by tangent coordinates, in units of the prior std."""
-        return np.asarray(self._manifold.whiten(self._point, rows) * self._spreads)
-
-    def identified_with(self, rows: FloatArray) -> list[set[str]]:
-        """Identified quantities of each link with further rows ``(N, 10 links)`` of standard deviation 1."""
-        both = np.concatenate([self._rows, self._scaled(rows)])
-        posterior = np.linalg.inv(np.eye(both.shape[1]) + both.T @ both)
-        covariance = with_enlarged_prior(posterior, posterior @ posterior)
-        bodies = pseudo_inertia.to_parameters(self._point.pseudo_inertias)
-        names = []
-        for index, derivative in enumerate(self._sensitivity):
-            block = self._manifold.link(index)
-            scaled = derivative * self._spreads[block]
-            prior_std = np.minimum(self._of_prior[index], np.linalg.norm(scaled, axis=1))
-            is_identified = identified(bodies[index], deviations_of(scaled, covariance[block, block]), prior_std)
-            names.append(set(compress(QUANTITIES, is_identified)))
-        return names
+def _identified_with(rows: FloatArray, estimate: Estimate) -> Iterator[set[str]]:
+    """Yield the identified quantities of each link, from the data of an estimate and further ``rows (N, 10 links)`` of
+    standard deviation 1."""
+    manifold = ParameterManifold(len(estimate.links), 0, np.zeros(0))
+    point = manifold.point(estimate.parameters[manifold.inertial])
+    prior_stds = np.repeat(estimate.prior_stds, 10)
+    both = np.asarray(manifold.whiten(point, np.concatenate([estimate.information.rows, rows])) * prior_stds)
+    posterior = np.asarray(np.linalg.inv(np.eye(both.shape[1]) + both.T @ both))
+    covariance = with_enlarged_prior(posterior, posterior @ posterior)
+    bodies = pseudo_inertia.to_parameters(point.pseudo_inertias)
+    for index, (link, derivative) in enumerate(zip(estimate.links, sensitivity_of_numbers(point), strict=True)):
+        block = manifold.link(index)
+        scaled = derivative * prior_stds[block]
+        prior_std = np.minimum(link.std_prior, np.linalg.norm(scaled, axis=1))
+        is_identified = identified(bodies[index], deviations_of(scaled, covariance[block, block]), prior_std)
+        yield set(compress(QUANTITIES, is_identified))
 
 
 def _candidate_motions(model: MeasurementModel, estimate: Estimate) -> Iterator[tuple[str, FloatArray]]:

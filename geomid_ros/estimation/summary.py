@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_products import ChannelSummary, joined, together, triangular, usable
-from geomid_ros.estimation.visited_states import VisitedStates, Visits
+from geomid_ros.estimation.visited_states import Visits
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -49,21 +50,17 @@ class SummaryState:
             other: rows that were added after these, or to another summary.
             pause: time between the last sample of these and the first of the others [s].
         """
-        factors = tuple(
-            tuple(triangular(np.concatenate(pair)) for pair in zip(earlier, later, strict=True))
-            for earlier, later in zip(self.factors, other.factors, strict=True)
-        )
-        visited = VisitedStates()
-        for state in (self, other):
-            visited.plus(state.visited)
+        folds = zip(self.factors, other.factors, strict=True)
         return SummaryState(
             instants=self.instants + other.instants,
             time=self.time + pause + other.time,
             rows=self.rows + other.rows,
             weight=self.weight + other.weight,
             counts=self.counts + other.counts,
-            factors=factors,
-            visited=visited.visits,
+            factors=tuple(
+                tuple(triangular(np.concatenate(pair)) for pair in zip(*fold, strict=True)) for fold in folds
+            ),
+            visited=self.visited.plus(other.visited),
         )
 
 
@@ -89,8 +86,9 @@ class RowSummary:
         """``apart``: time between two rows that are independent after the filter [s]."""
         self.channels = tuple(channels)
         self.folds = folds
-        self.visited = VisitedStates(apart)
+        self.visited = Visits(age=apart)
         """Visited states of the motion, if given; none where rows are forgotten."""
+        self._apart = apart
         self._block = block
         self._forgetting_time = forgetting_time
         self._instants = 0
@@ -99,15 +97,13 @@ class RowSummary:
         """Number of rows added, including forgotten ones."""
         self.weight = 0.0
         """Sum of the rows' present weights."""
-        self._summaries = [
-            [ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.groups] for _ in range(folds)
-        ]
+        self._summaries = self._empty(folds)
         self._complete = True  # no rows wait, and all weights are up to date
         self._factors: tuple[FloatArray, ...] | None = None  # of all rows of each group; None after rows were added
-        # Rows, their targets, and their times.
-        self._waiting: list[list[list[tuple[FloatArray, float, float]]]] = [
-            [[] for _ in self.groups] for _ in range(folds)
-        ]
+
+    def _empty(self, folds: int) -> list[list[ChannelSummary]]:
+        """Folds without rows."""
+        return [[ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.groups] for _ in range(folds)]
 
     @property
     def groups(self) -> tuple[Channel, ...]:
@@ -134,7 +130,7 @@ class RowSummary:
         """
         elapsed, regimes = np.broadcast_to(elapsed, len(targets)), np.broadcast_to(regimes, targets.shape)
         if states is not None and np.isinf(self._forgetting_time):  # repeats of forgotten rows do not count
-            self.visited.add(states, elapsed)
+            self.visited = self.visited.with_states(states, elapsed, self._apart)
         self._complete = False
         is_usable = usable(coefficients, targets)
         self.rows += int(np.count_nonzero(is_usable))
@@ -144,7 +140,8 @@ class RowSummary:
         begin = 0
         while begin < len(elapsed):
             self._time = float(times[begin])
-            fold = self._fold()
+            self.make_room(1)
+            fold = self._summaries[self._instants // self._block]
             end = min(begin + self._block - self._instants % self._block, len(elapsed))
             for index, group in enumerate(self.groups):
                 regime, channel = divmod(index, len(self.channels))
@@ -153,81 +150,57 @@ class RowSummary:
                     continue
                 chosen = begin + np.flatnonzero(in_group)
                 rows = coefficients[chosen[:, None], channel, group.columns]
-                waiting = self._waiting[fold][index]
+                waiting = fold[index].waiting
                 waiting += zip(rows, targets[chosen, channel].tolist(), times[chosen].tolist(), strict=True)
                 # Limits differ, or channels with equally many rows would all need a QR at the same sample.
-                while len(waiting) >= self._CHUNK + index:
-                    self._absorb(fold, index, self._CHUNK + index)
+                limit = self._CHUNK + index
+                while len(waiting) >= limit:
+                    fold[index].absorb(limit, waiting[limit - 1][2], self._forgetting_time)
+                    self._factors = None
             self._instants += end - begin
             self._time = float(times[end - 1])
             begin = end
 
-    def _fold(self) -> int:
-        """Index of the next sample's fold, after making room for it."""
-        self.make_room(1)
-        return self._instants // self._block
-
     def make_room(self, instants: int) -> None:
         """Merge pairs of folds until there is room for this many more samples."""
         while self._instants + instants > self.folds * self._block:
-            parts = self.parts()
-            for index, by_fold in enumerate(parts):
-                pairs = [by_fold[first : first + 2] for first in range(0, self.folds, 2)]
-                empty = [ChannelSummary(by_fold[0].factor[:0]) for _ in pairs]
-                for fold, merged in enumerate([*map(together, pairs), *empty]):
-                    self._summaries[fold][index] = merged
+            self._complete_summaries()
+            pairs = zip(self._summaries[::2], self._summaries[1::2], strict=True)
+            merged = [[together(parts) for parts in zip(*pair, strict=True)] for pair in pairs]
+            self._summaries = [*merged, *self._empty(self.folds // 2)]
             self._block *= 2
             self._complete = False
 
     def absorb_one(self) -> bool:
         """Absorb the waiting rows of one channel in one fold; False if there were none."""
-        for fold in range(self.folds):
-            for index, waiting in enumerate(self._waiting[fold]):
-                if waiting:
-                    self._absorb(fold, index)
-                    return True
-        return False
+        part = next((part for fold in self._summaries for part in fold if part.waiting), None)
+        if part is not None:
+            part.absorb(len(part.waiting), self._time, self._forgetting_time)
+            self._factors = None
+        return part is not None
 
-    def _absorb(self, fold: int, index: int, count: int | None = None) -> None:
-        """Absorb the waiting rows, with weights as of now; or only the first ``count``, as of the last of them."""
-        part, waiting = self._summaries[fold][index], self._waiting[fold][index]
-        now = self._time if count is None else waiting[count - 1][2]
-        remaining = float(self._remaining(part.time, now))
-        if remaining < 1.0:  # otherwise copies share the factor
-            part.fade(remaining)
-        if waiting:
-            rows, targets, times = zip(*waiting[:count], strict=True)
-            part.add(np.array(rows), np.array(targets), self._remaining(np.array(times), now))
-            del waiting[:count]
-        part.time = now
-        self._factors = None
-
-    def _remaining(self, times: float | FloatArray, now: float) -> FloatArray:
-        """Weights at time ``now`` of rows added at ``times``."""
-        return np.exp((np.asarray(times) - now) / self._forgetting_time)
-
-    def parts(self) -> list[list[ChannelSummary]]:
-        """Summaries of all folds, per group, including all rows added so far."""
+    def _complete_summaries(self) -> list[list[ChannelSummary]]:
+        """Summaries of all groups, per fold, including all rows added so far."""
         if not self._complete:
-            for fold in range(self.folds):
-                for index in range(len(self.groups)):
-                    self._absorb(fold, index)
-            self._complete = True
-        return [[fold[index] for fold in self._summaries] for index in range(len(self.groups))]
+            for part in chain(*self._summaries):
+                part.absorb(len(part.waiting), self._time, self._forgetting_time)
+            self._complete, self._factors = True, None
+        return self._summaries
 
-    def factors(self, folds: Sequence[int] | None = None) -> tuple[FloatArray, ...]:
-        """One factor per group of all rows so far in the chosen folds (all unless given)."""
+    def parts(self) -> list[tuple[ChannelSummary, ...]]:
+        """Summaries of all folds, per group, including all rows added so far."""
+        return list(zip(*self._complete_summaries(), strict=True))
+
+    def factors(self) -> tuple[FloatArray, ...]:
+        """One factor per group of all rows so far."""
         parts = self.parts()
-        if folds is not None:
-            return tuple(joined([by_fold[fold] for fold in folds]) for by_fold in parts)
         if self._factors is None:
             self._factors = tuple(map(joined, parts))
         return self._factors
 
-    def counts(self, folds: Sequence[int] | None = None) -> FloatArray:
-        """Sums of the row weights per group in the chosen folds (all unless given)."""
-        chosen = range(self.folds) if folds is None else folds
-        return np.array([sum(by_fold[fold].count for fold in chosen) for by_fold in self.parts()])
+    def counts(self) -> FloatArray:
+        """Sums of the row weights per group."""
+        return np.array([sum(part.count for part in by_fold) for by_fold in self.parts()])
 
     def with_columns(self, channels: Sequence[Channel], chosen: IntArray) -> RowSummary:
         """Copy with only the ``chosen`` of the D parameters; ``channels``: the channels with the remaining columns."""
@@ -265,25 +238,23 @@ class RowSummary:
         return self._copy(self.channels)
 
     def _copy(self, channels: Sequence[Channel]) -> RowSummary:
-        copy = RowSummary(channels, self.folds, self._block, self._forgetting_time)
+        copy = RowSummary(channels, self.folds, self._block, self._forgetting_time, self._apart)
         copy._instants, copy._time = self._instants, self._time
-        copy.rows, copy.weight, copy.visited = self.rows, self.weight, self.visited.copy()
-        copy._summaries = [[part.copy() for part in fold] for fold in zip(*self.parts(), strict=True)]
+        copy.rows, copy.weight, copy.visited = self.rows, self.weight, self.visited
+        copy._summaries = [[part.copy() for part in fold] for fold in self._complete_summaries()]
         return copy
 
     def state(self) -> SummaryState:
         """State, including all rows added so far."""
-        folds = list(zip(*self.parts(), strict=True))
-        counts = np.array([[part.count for part in fold] for fold in folds])
-        factors = tuple(tuple(part.factor for part in fold) for fold in folds)
+        folds = self._complete_summaries()
         return SummaryState(
             instants=self._instants,
             time=self._time,
             rows=self.rows,
             weight=self.weight,
-            counts=counts,
-            factors=factors,
-            visited=self.visited.visits,
+            counts=np.array([[part.count for part in fold] for fold in folds]),
+            factors=tuple(tuple(part.factor for part in fold) for fold in folds),
+            visited=self.visited,
         )
 
     def restore(self, state: SummaryState) -> None:
@@ -316,18 +287,27 @@ class RowSummary:
         while self._instants > self.folds * self._block:
             self._block *= 2
         self.rows, self.weight = state.rows, state.weight
-        self.visited.restore(visited)
+        self.visited = visited
         self._complete, self._factors = True, None
         self._summaries = summaries
-        self._waiting = [[[] for _ in self.groups] for _ in range(self.folds)]
 
-    def rms(self, parameters: FloatArray, folds: Sequence[int] | None = None) -> FloatArray:
+    def rms(self, parameters: FloatArray) -> FloatArray:
         """RMS residual of each channel at parameters ``(D,)``, ``(channels,)``; NaN without rows."""
+        return self._rms(parameters, self.factors(), self.counts())
+
+    def rms_by_fold(self, parameters: FloatArray) -> FloatArray:
+        """:meth:`rms` of the rows of each fold alone ``(folds, channels)``."""
+        folds = self._complete_summaries()
+        counts = [np.array([part.count for part in fold]) for fold in folds]
+        pairs = zip(folds, counts, strict=True)
+        return np.array([self._rms(parameters, [part.factor for part in fold], count) for fold, count in pairs])
+
+    def _rms(self, parameters: FloatArray, factors: Sequence[FloatArray], counts: FloatArray) -> FloatArray:
         errors = [
             np.sum((factor @ np.append(parameters[group.columns], -1.0)) ** 2)
-            for group, factor in zip(self.groups, self.factors(folds), strict=True)
+            for group, factor in zip(self.groups, factors, strict=True)
         ]
-        error, total = (np.sum(np.reshape(sums, (REGIMES, -1)), axis=0) for sums in (errors, self.counts(folds)))
+        error, total = (np.sum(np.reshape(sums, (REGIMES, -1)), axis=0) for sums in (errors, counts))
         return np.asarray(np.sqrt(error / np.where(total > 0.0, total, np.nan)))
 
     def products(self, sigmas: FloatArray, dimension: int) -> FloatArray:

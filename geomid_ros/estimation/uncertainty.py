@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -59,12 +59,7 @@ class Uncertainty:
     covariance_from_prior: FloatArray
     prior: FloatArray
     independent_fraction: float
-    by_rows: FloatArray = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def with_enlarged_prior(self) -> FloatArray:
-        """Covariance ``(D, D)`` for enlarged prior errors, see :func:`with_enlarged_prior`."""
-        return with_enlarged_prior(self.covariance, self.covariance_from_prior)
+    by_rows: FloatArray
 
     @property
     def prior_stds(self) -> FloatArray:

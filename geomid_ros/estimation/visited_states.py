@@ -7,7 +7,7 @@ that is independent after the filter: the motion itself sets that distance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,61 +22,41 @@ _NEXT = 1.0 - 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Visits:
-    """State of :class:`VisitedStates`.
+    """Roughly evenly spaced subset of the states of a motion, each with the steps before and after it.
 
     Attributes:
         kept: ``(n, 3, S)``: the state, the step before it, the step after it.
         every: one of this many states is kept, a power of two.
         count: number of states that were candidates to be kept.
         last: the last independent states, at most three ``(l, S)``.
-        age: time since the last one [s], up to ``apart``.
+        age: time since the last one [s], up to the time between two independent states.
     """
 
-    kept: FloatArray
-    every: int
-    count: int
-    last: FloatArray
-    age: float
+    kept: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
+    every: int = 1
+    count: int = 0
+    last: FloatArray = field(default_factory=lambda: np.zeros(0))
+    age: float = 0.0
 
-
-class VisitedStates:
-    """Roughly evenly spaced subset of the states of a motion, each with the steps before and after it."""
-
-    def __init__(self, apart: float = 0.0) -> None:
-        """``apart``: time between independent states [s]."""
-        self._apart = apart
-        self._age = apart
-        self._last: list[FloatArray] = []
-        self._count = 0
-        self.kept: FloatArray = np.zeros((0, 3, 0))
-        self.every = 1
-
-    @property
-    def visits(self) -> Visits:
-        """State for :meth:`restore`."""
-        return Visits(self.kept, self.every, self._count, np.array(self._last), min(self._age, self._apart))
-
-    def restore(self, visits: Visits) -> None:
-        """Continue from the state of another object."""
-        self.kept, self.every = visits.kept, visits.every
-        self._count, self._last, self._age = visits.count, [*visits.last], visits.age
-
-    def add(self, states: FloatArray, elapsed: FloatArray) -> None:
-        """Add ``states (N, S)``, each ``elapsed (N,)`` [s] after the one before."""
-        added = []
+    def with_states(self, states: FloatArray, elapsed: FloatArray, apart: float) -> Visits:
+        """Add ``states (N, S)``, each ``elapsed (N,)`` [s] after the one before. States are independent if they are
+        ``apart`` [s]."""
+        added, count, last, age = [], self.count, [*self.last], self.age
         for state, passed in zip(states, elapsed.tolist(), strict=True):
-            self._age += passed
-            if self._age < self._apart:
+            age += passed
+            if age < apart:
                 continue
-            self._age = 0.0
-            self._last = [*self._last[-2:], state]
-            if len(self._last) == 3:
-                before, state_between, after = self._last
-                if self._is_kept(self._count):
-                    added.append(np.stack([state_between, state_between - before, after - state_between]))
-                self._count += 1
+            age = 0.0
+            last = [*last[-2:], state]
+            if len(last) == 3:
+                before, between, after = last
+                if self._is_kept(count):
+                    added.append(np.stack([between, between - before, after - between]))
+                count += 1
+        kept, every = self.kept, self.every
         if added:
-            self._keep(np.array(added) if not len(self.kept) else np.concatenate([self.kept, added]), self.every)
+            kept, every = _thinned(np.concatenate([kept, added]) if len(kept) else np.array(added), every)
+        return Visits(kept, every, count, np.array(last), age)
 
     def _is_kept(self, number: int) -> bool:
         every = self.every
@@ -87,23 +67,11 @@ class VisitedStates:
             every //= 2
         return True
 
-    def _keep(self, kept: FloatArray, every: int) -> None:
-        while len(kept) > _MOST:
-            kept, every = _one_of(kept, 2), 2 * every
-        self.kept, self.every = kept, every
-
-    def plus(self, other: Visits) -> None:
-        """Add the visits of another motion."""
+    def plus(self, other: Visits) -> Visits:
+        """Merge the visits of two motions, neither of which continues."""
         most = max(other.every, self.every)
-        pairs = ((self.kept, self.every), (other.kept, other.every))
-        both = [_one_of(states, most // every) for states, every in pairs if len(states)]
-        self._keep(np.concatenate(both) if both else self.kept, most)
-
-    def copy(self) -> VisitedStates:
-        """Copy that later additions do not change."""
-        copy = VisitedStates(self._apart)
-        vars(copy).update(vars(self))
-        return copy
+        both = [_one_of(visits.kept, most // visits.every) for visits in (self, other) if len(visits.kept)]
+        return Visits(*_thinned(np.concatenate(both) if both else self.kept, most))
 
     @property
     def distinct(self) -> float:
@@ -121,6 +89,13 @@ class VisitedStates:
         # A state as near as the next one, up to rounding, is the next one.
         returns = np.count_nonzero(squared_distances < _NEXT * squared_steps[:, None], axis=1)
         return float(np.mean(1.0 / (1.0 + self.every * returns)))
+
+
+def _thinned(kept: FloatArray, every: int) -> tuple[FloatArray, int]:
+    """Halve the states, of which one of ``every`` is kept, until there are no more than :data:`_MOST`."""
+    while len(kept) > _MOST:
+        kept, every = _one_of(kept, 2), 2 * every
+    return kept, every
 
 
 def _one_of(kept: FloatArray, every: int) -> FloatArray:

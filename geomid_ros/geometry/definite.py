@@ -38,14 +38,6 @@ class Packed:
         return lower + np.tril(lower, -1).T
 
 
-def solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve ``matrix (n, n) x = right (n, ...)``. Raises LinAlgError if the matrix is not positive definite."""
-    if right.ndim == 1:
-        return damped_step(matrix, -right, 0.0)[0]
-    root = _factored(matrix, len(matrix))
-    return np.asarray(root @ (root.T @ right))
-
-
 def damped_step(matrix: FloatArray, gradient: FloatArray, damping: float) -> tuple[FloatArray, float]:
     """Solve ``(matrix + damping 1) x = -gradient (n,)``; return x and ``x (matrix + damping 1)^-1 x``. Raises
     LinAlgError if that matrix is not positive definite."""
@@ -61,10 +53,13 @@ def damped_step(matrix: FloatArray, gradient: FloatArray, damping: float) -> tup
 
 
 def solve_or_least_squares(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve ``matrix (n, n) x = right (n,)``; by least squares with the least norm if rounding leaves the matrix not
-    quite positive definite."""
+    """Solve ``matrix (n, n) x = right (n, ...)``; by least squares with the least norm if rounding leaves the matrix
+    not quite positive definite."""
     try:
-        return solve(matrix, right)
+        if right.ndim == 1:
+            return damped_step(matrix, -right, 0.0)[0]
+        root = _factored(matrix, len(matrix))
+        return np.asarray(root @ (root.T @ right))
     except LinAlgError:
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 

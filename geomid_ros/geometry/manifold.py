@@ -177,17 +177,15 @@ class ParameterManifold:
 
     def log(self, base: Point, point: Point) -> FloatArray:
         """Return tangent coordinates ``(D,)`` at ``base`` of the geodesic to ``point`` (8)."""
-        return self._log(base, point, *self._logarithm(base, point))
+        return self._logarithm(base, point)[0]
 
-    def _logarithm(self, base: Point, point: Point) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues ``(links, 4)`` and eigenvectors of the links' logarithms."""
-        values, vectors = np.linalg.eigh(spd.congruence(base.inverse_root, point.pseudo_inertias))
-        return np.log(values), vectors
-
-    def _log(self, base: Point, point: Point, values: FloatArray, vectors: FloatArray) -> FloatArray:
-        whitened = spd.composed(values, vectors)
+    def _logarithm(self, base: Point, point: Point) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return :meth:`log`, and the eigenvalues ``(links, 4)`` and eigenvectors of the links' logarithms."""
+        ratios, vectors = np.linalg.eigh(spd.congruence(base.inverse_root, point.pseudo_inertias))
+        values = np.log(ratios)
+        links = symmetric.to_vector(spd.composed(values, vectors)).ravel()
         positive, real = np.log(point.positives / base.positives), (point.reals - base.reals) / self.scales
-        return np.concatenate([symmetric.to_vector(whitened).ravel(), positive, real])
+        return np.concatenate([links, positive, real]), values, vectors
 
     def distance(self, a: Point, b: Point) -> float:
         """Compute the geodesic distance: the root of the sum of the blocks' squared distances (9)."""
@@ -196,8 +194,8 @@ class ParameterManifold:
     def log_and_hessian(self, base: Point, point: Point) -> tuple[FloatArray, FloatArray]:
         """Return :meth:`log`, and the links' blocks ``(links, 10, 10)`` of the Hessian of ``d(base, point)^2/2`` by the
         tangent coordinates at ``base``; its other entries are those of the identity."""
-        logarithm = self._logarithm(base, point)
-        return self._log(base, point, *logarithm), spd.half_squared_distance_hessian(*logarithm)
+        tangent, *decomposed = self._logarithm(base, point)
+        return tangent, spd.half_squared_distance_hessian(*decomposed)
 
     def add_blocks(self, matrix: FloatArray, blocks: FloatArray, diagonal: FloatArray) -> None:
         """Add the links' ``blocks (links, 10, 10)``, and the ``diagonal (positives + reals,)`` for the coefficients, to

@@ -9,17 +9,10 @@ the distance is the printed one and equals the norm of the logarithm. Minimisers
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from geomid_ros.geometry import symmetric
 from geomid_ros.types import BoolArray, FloatArray
-
-
-def _apply_to_eigenvalues(function: Callable[[FloatArray], FloatArray], matrix: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(matrix)
-    return composed(function(values), vectors)
 
 
 def composed(values: FloatArray, vectors: FloatArray) -> FloatArray:
@@ -29,12 +22,8 @@ def composed(values: FloatArray, vectors: FloatArray) -> FloatArray:
 
 def sym_exp(matrix: FloatArray) -> FloatArray:
     """Return the matrix exponential of symmetric matrices ``(..., n, n)``."""
-    return _apply_to_eigenvalues(np.exp, matrix)
-
-
-def spd_inv_sqrt(matrix: FloatArray) -> FloatArray:
-    """Return inverse symmetric square roots of SPD matrices ``(..., n, n)``."""
-    return _apply_to_eigenvalues(lambda values: 1.0 / np.sqrt(values), matrix)
+    values, vectors = np.linalg.eigh(matrix)
+    return composed(np.exp(values), vectors)
 
 
 def congruence(factor: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -44,7 +33,8 @@ def congruence(factor: FloatArray, matrix: FloatArray) -> FloatArray:
 
 def relative_eigenvalues(base: FloatArray, point: FloatArray) -> FloatArray:
     """Eigenvalues of ``base^-1/2 point base^-1/2`` in ascending order, shape ``(..., n)``."""
-    return np.asarray(np.linalg.eigvalsh(congruence(spd_inv_sqrt(base), point)), dtype=np.float64)
+    values, vectors = np.linalg.eigh(base)
+    return np.asarray(np.linalg.eigvalsh(congruence(composed(1.0 / np.sqrt(values), vectors), point)))
 
 
 def distance(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, wraps
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from geomid_ros.inference.hypothesis import Hypothesis
 from geomid_ros.inference.remainder import Marginal, Remainder
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value")
 BLOCKS = 8  # of time; their scatter shows how dependent the rows are
 _LEAST_SIZE = 1e-4  # mean square of whitened features: those that hardly occur are not scaled up
 DEFAULT_FRACTION = 0.3
@@ -119,6 +121,19 @@ class CandidateProducts:
     squared: FloatArray
 
 
+def _remembered(method: Callable[[Design, _Key], _Value]) -> Callable[[Design, _Key], _Value]:
+    """Remember what a method returns for each argument, also in designs with other variances."""
+
+    @wraps(method)
+    def remembered(design: Design, key: _Key) -> _Value:
+        known: dict[_Key, _Value] = design._known.setdefault(method.__name__, {})  # noqa: SLF001 a method of its class
+        if key not in known:
+            known[key] = method(design, key)
+        return known[key]
+
+    return remembered
+
+
 @dataclass(frozen=True, eq=False)
 class Design:
     """Rows of all channels, with ``dimension`` inertial columns, and the ``variances`` of their remainders' blocks."""
@@ -126,12 +141,8 @@ class Design:
     channels: tuple[ChannelRows, ...]
     dimension: int
     variances: tuple[FloatArray, ...]
-    _known_places: dict[Hypothesis[Any], IntArray] = field(default_factory=dict, repr=False)
-    _known_scales: dict[Any, float] = field(default_factory=dict, repr=False)
-    _known_terms: dict[Any, IntArray] = field(default_factory=dict, repr=False)
-    _known_trust: dict[Hypothesis[Any], FloatArray] = field(default_factory=dict, repr=False)
-    _known_reach: dict[Hypothesis[Any], list[int]] = field(default_factory=dict, repr=False)
-    _products: dict[tuple[int, bytes], Marginal] = field(default_factory=dict, repr=False)
+    _known: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
+    _products: dict[int, tuple[bytes, Marginal]] = field(default_factory=dict, repr=False)
     _gathered: dict[int, tuple[bytes, FloatArray]] = field(default_factory=dict, repr=False)
 
     @staticmethod
@@ -141,28 +152,16 @@ class Design:
 
     def given(self, variances: Sequence[FloatArray]) -> Design:
         """Return the design with other ``variances`` of the remainders; unchanged channels keep their products."""
-        kept = {key: self._products[key] for key in self._keys if key in self._products}
-        return replace(self, variances=tuple(variances), _products=kept, _gathered={})
-
-    @property
-    def _keys(self) -> list[tuple[int, bytes]]:
-        """Key of each channel's products."""
-        return [(place, variances.tobytes()) for place, variances in enumerate(self.variances)]
+        return replace(self, variances=tuple(variances), _products=dict(self._products), _gathered={})
 
     @cached_property
     def _marginalised(self) -> list[Marginal]:
         """Products of each channel with the remainder integrated out."""
-        marginals = []
-        for key, channel, variances in zip(self._keys, self.channels, self.variances, strict=True):
-            if key not in self._products:
-                self._products[key] = channel.remainder.marginalised(channel.products, variances)
-            marginals.append(self._products[key])
-        return marginals
-
-    @property
-    def has_known_remainder(self) -> bool:
-        """True if other recordings constrain the remainder of any channel."""
-        return any(channel.prior_covariance is not None for channel in self.channels)
+        for place, (channel, variances) in enumerate(zip(self.channels, self.variances, strict=True)):
+            key = variances.tobytes()
+            if place not in self._products or self._products[place][0] != key:
+                self._products[place] = key, channel.remainder.marginalised(channel.products, variances)
+        return [self._products[place][1] for place in range(len(self.channels))]
 
     @property
     def cost(self) -> float:
@@ -185,33 +184,28 @@ class Design:
         """Scale of each coefficient: its column is as large as the target in one channel, smaller in the others."""
         return np.array([self._scale(term) for term in terms])
 
+    @_remembered
     def _scale(self, term: Any) -> float:
-        if term not in self._known_scales:
-            places = zip(self.channels, self._places_of_term(term), strict=True)
-            squares = np.array([[c.products[-2, -2], c.products[place, place]] for c, place in places])
-            target, column = squares[squares[:, 1] > 0.0].T
-            scale = float(np.sqrt(np.min(target / column, initial=np.inf)))
-            self._known_scales[term] = scale if np.isfinite(scale) and scale > 0.0 else 1.0
-        return self._known_scales[term]
+        places = zip(self.channels, self._places_of_term(term), strict=True)
+        squares = np.array([[c.products[-2, -2], c.products[place, place]] for c, place in places])
+        target, column = squares[squares[:, 1] > 0.0].T
+        scale = float(np.sqrt(np.min(target / column, initial=np.inf)))
+        return scale if np.isfinite(scale) and scale > 0.0 else 1.0
 
+    @_remembered
     def prior_precision(self, candidate: Hypothesis[Any]) -> FloatArray:
         """Prior precision ``(k,)`` of a candidate's coefficients."""
-        if candidate not in self._known_trust:
-            stds = zip(candidate.prior_std, self.scales(candidate.terms), strict=True)
-            self._known_trust[candidate] = np.array([std or DEFAULT_FRACTION * scale for std, scale in stds]) ** -2.0
-        return self._known_trust[candidate]
+        stds = zip(candidate.prior_std, self.scales(candidate.terms), strict=True)
+        return np.array([std or DEFAULT_FRACTION * scale for std, scale in stds]) ** -2.0
 
     def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> ChannelProducts:
         """Products of the inertial columns, those of each link of ``bodies`` again, the terms and the target."""
-        places = self.places(bodies, terms)
-
-        def gathered() -> Iterator[tuple[IntArray, FloatArray]]:
-            for place, (channel, columns) in enumerate(zip(self.channels, places, strict=True)):
-                present = channel.present[columns]
-                present[-1] = True
-                yield np.flatnonzero(present), self._block(place, columns[present])
-
-        return ChannelProducts.of(places.shape[1], gathered())
+        places, gathered = self.places(bodies, terms), []
+        for place, (channel, columns) in enumerate(zip(self.channels, places, strict=True)):
+            present = channel.present[columns]
+            present[-1] = True
+            gathered.append((np.flatnonzero(present), self._block(place, columns[present])))
+        return ChannelProducts.of(places.shape[1], gathered)
 
     def _block(self, place: int, columns: IntArray) -> FloatArray:
         """Products of some columns of a channel; the last ones are kept, as most fits differ in few channels."""
@@ -287,20 +281,17 @@ class Design:
             indices[:, self.dimension : -1] = np.array(columns).T
         return indices
 
+    @_remembered
     def _places_of_term(self, term: Any) -> IntArray:
         """Index of a term's column in each channel ``(C,)``, -1 (the zero column) where it is absent."""
-        if term not in self._known_terms:
-            self._known_terms[term] = np.array([channel.place.get(term, -1) for channel in self.channels])
-        return self._known_terms[term]
+        return np.array([channel.place.get(term, -1) for channel in self.channels])
 
+    @_remembered
     def affected_channels(self, candidate: Hypothesis[Any]) -> list[int]:
         """Channels that a candidate affects."""
         if candidate.payload is not None:
             return list(range(len(self.channels)))
-        if candidate not in self._known_reach:
-            channels = [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
-            self._known_reach[candidate] = channels
-        return self._known_reach[candidate]
+        return [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
 
     def candidate_products(
         self, alike: Sequence[Hypothesis[Any]], places: Mapping[int, IntArray]
@@ -316,12 +307,12 @@ class Design:
             products_by_channel.append(CandidateProducts(which, crossed, squared))
         return products_by_channel
 
+    @_remembered
     def _candidate_places(self, candidate: Hypothesis[Any]) -> IntArray:
         """Index of each of a candidate's columns in each channel ``(C, k)``."""
-        if candidate not in self._known_places:
-            body, columns = candidate.payload, [self._places_of_term(term) for term in candidate.terms]
-            self._known_places[candidate] = np.column_stack(columns) if body is None else self._places_of_link(body)
-        return self._known_places[candidate]
+        if candidate.payload is not None:
+            return self._places_of_link(candidate.payload)
+        return np.column_stack([self._places_of_term(term) for term in candidate.terms])
 
     def _places_of_link(self, link: int) -> IntArray:
         """Index of each of a link's columns in each channel ``(C, 10)``."""

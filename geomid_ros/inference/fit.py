@@ -17,7 +17,7 @@ import numpy as np
 
 from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.link_priors import alike_rows, individual_std_cost, reestimated_individual_stds
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, fit_scales
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, fit_scales
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.definite import Packed
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -108,7 +108,7 @@ class JointFit(Generic[Chosen, Term]):
     def with_fitted_remainder(self, design: Design, among: Collection[int] | None = None) -> Design:
         """Return the design with the most likely remainder at this fit, for all channels or those in ``among``."""
         named = np.zeros(len(design.channels))
-        for candidate, values in self.changes.items() if design.has_known_remainder else ():
+        for candidate, values in self.changes.items():
             named += design.powers(candidate, values) / self.squares
         return design.with_fitted_remainder(self.bodies, self.terms, self.point.parameters, named, among)
 
@@ -168,8 +168,8 @@ def _fit(
 ) -> JointFit[Chosen, Term]:
     """Return the minimum reached from the start, with the prior's constraints at zero."""
     free = _free_fit(design, prior, chosen, start, prior_std)
-    rows = prior.constraints(free.terms, free.point.reals)
-    return _free_fit(design, prior, chosen, free, prior_std, rows) if len(rows) else free
+    rows = None if prior.constraints is None else prior.constraints(free.terms, free.point.reals)
+    return free if rows is None or not len(rows) else _free_fit(design, prior, chosen, free, prior_std, rows)
 
 
 def _free_fit(
@@ -182,24 +182,24 @@ def _free_fit(
 ) -> JointFit[Chosen, Term]:
     """Return the minimum reached from the start; ``constraints``: rows ``(r, terms)`` of coefficients fixed at zero."""
     bodies = [c.payload for c in chosen if c.payload is not None]
-    own = dict.fromkeys(term for c in chosen for term in c.terms)
-    terms = (*prior.terms, *(term for term in own if term not in prior.terms))
+    terms = tuple(dict.fromkeys([*prior.terms, *(term for c in chosen for term in c.terms)]))
     products = design.gather(bodies, terms)
     scales = design.scales(terms)
-    manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
+    manifold = ParameterManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
     prior_point = _known(manifold, prior, bodies)
     payloads_at = len(prior.inertias)
-    prior_stds = {term: std for c in chosen for term, std in zip(c.terms, c.prior_std, strict=True)}
-    stds = [prior_stds.get(term, 0.0) or DEFAULT_FRACTION * scale for term, scale in zip(terms, scales, strict=True)]
+    known_stds = dict(zip(prior.terms, prior.prior_stds.tolist(), strict=True))
+    known_stds |= {term: std for c in chosen for term, std in zip(c.terms, c.prior_std, strict=True)}
+    stds = [known_stds[term] or DEFAULT_FRACTION * scale for term, scale in zip(terms, scales, strict=True)]
     weights = np.ones(manifold.dimension)
     weights[manifold.real] = (scales / np.array(stds)) ** 2
     weights[payloads_at : manifold.inertial.stop] = priors.PAYLOAD_PRIOR_STD**-2
-    held = np.array([term not in own for term in prior.terms], dtype=bool)
-    places = manifold.real.start + np.flatnonzero(held)
-    weights[places] = (scales[: len(held)][held] / prior.prior_stds[held]) ** 2
     rows, cost = _known_rows(prior, chosen, manifold)
-    zero = _constraint_rows(constraints, manifold, prior_point)
-    earlier, zeros = (_products(manifold.offset_rows(prior_point, own[:, :-1]), own[:, -1]) for own in (rows, zero))
+    earlier = _products(manifold.offset_rows(prior_point, rows[:, :-1]), rows[:, -1])
+    zeros: FloatArray | float = 0.0
+    if constraints is not None:
+        zero_rows = np.column_stack([np.zeros((len(constraints), manifold.real.start)), constraints])
+        zeros = _products(manifold.offset_rows(prior_point, zero_rows), constraints @ prior_point.reals)
     from_scratch = start is None or set(bodies) != set(start.bodies)
     fixed = prior_std is not None
     inflation = 1.0 if fixed or start is None else start.inflation
@@ -279,16 +279,9 @@ def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: Paramete
     return prior.other_recordings.present_rows(manifold.dimension, int(manifold.real.start), others)
 
 
-def _constraint_rows(constraints: FloatArray | None, manifold: ParameterManifold, prior: Point) -> FloatArray:
-    """Rows for all parameters; the last column has their residuals at the prior ``(r, D + 1)``."""
-    if constraints is None:
-        return np.zeros((0, manifold.dimension + 1))
-    return np.column_stack([np.zeros((len(constraints), manifold.real.start)), constraints, constraints @ prior.reals])
-
-
 def fit_of_prior(prior: Prior[Term]) -> JointFit[Any, Term]:
     """The prior as a fit to no data."""
-    manifold = StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
+    manifold = ParameterManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
     size = manifold.dimension
     return JointFit(
         chosen=(),
@@ -321,19 +314,14 @@ def _first_point(
     bodies: Sequence[int],
     terms: Sequence[Term],
 ) -> Point:
+    """Point of an earlier fit with the same bodies, if there is one; its other terms have the prior's values."""
     if start is None:
         return prior_point
     links = manifold.links - len(bodies)
-    payloads = [
-        start.point.pseudo_inertias[links + start.bodies.index(body)]
-        if body in start.bodies
-        else prior_point.pseudo_inertias[links + place]
-        for place, body in enumerate(bodies)
-    ]
+    order = [*range(links), *(links + start.bodies.index(body) for body in bodies)]
     fitted = set(start.terms)
     reals = [start.value(t) if t in fitted else float(prior_point.reals[i]) for i, t in enumerate(terms)]
-    inertias = [*start.point.pseudo_inertias[:links], *payloads]
-    return Point(np.array(inertias), np.zeros(0), np.array(reals))
+    return Point(start.point.pseudo_inertias[order], np.zeros(0), np.array(reals))
 
 
 def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:

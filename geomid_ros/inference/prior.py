@@ -10,7 +10,7 @@ from typing import Generic
 import numpy as np
 
 from geomid_ros.estimation.link_priors import common_prior_stds
-from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.estimation.profile_objective import ProfileObjective
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference.hypothesis import Term
@@ -89,11 +89,6 @@ class OtherRecordings:
         return rows, cost + added
 
 
-def no_constraints(_: Sequence[object], values: FloatArray) -> FloatArray:
-    """Return no constraint rows for ``values (k,)``."""
-    return np.zeros((0, len(values)))
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prior(Generic[Term]):
     """Knowledge before the fit.
@@ -108,7 +103,7 @@ class Prior(Generic[Term]):
         changed_link: link that differs now from the one in the other recordings.
         cost: minus twice the log of the factor that this change puts on the likelihood of the other recordings.
         alike: groups of links that have most of their errors in common.
-        constraints: gives rows ``(r, k)`` that fix combinations of coefficients at zero, from terms and values.
+        constraints: gives rows ``(r, k)`` that fix combinations of coefficients at zero, from terms and values, if any.
     """
 
     inertias: FloatArray
@@ -122,7 +117,7 @@ class Prior(Generic[Term]):
     changed_link: int | None = None
     cost: float = 0.0
     alike: Sequence[AlikeParts] = ()
-    constraints: Callable[[Sequence[Term], FloatArray], FloatArray] = no_constraints
+    constraints: Callable[[Sequence[Term], FloatArray], FloatArray] | None = None
 
     @property
     def without_other_recordings(self) -> Prior[Term]:
@@ -130,7 +125,7 @@ class Prior(Generic[Term]):
         others = self.other_recordings
         if others is None:
             return self
-        manifold = StraightManifold(len(self.inertias) // 10, 0, np.ones(0))
+        manifold = ParameterManifold(len(self.inertias) // 10, 0, np.ones(0))
         links = manifold.whiten(manifold.point(self.inertias), others.rows[:, : others.links])
         rows = np.column_stack([links * self.prior_std, others.rows[:, others.links :]])
         count = len(others.changes)
@@ -159,7 +154,7 @@ class Prior(Generic[Term]):
         the other links: the former link is marginalised with the prior std ``prior_std``."""
         if self.other_recordings is None:
             return self
-        manifold, places = StraightManifold(len(self.inertias) // 10, 0, np.ones(0)), slice(10 * link, 10 * link + 10)
+        manifold, places = ParameterManifold(len(self.inertias) // 10, 0, np.ones(0)), slice(10 * link, 10 * link + 10)
         links = self.other_recordings.rows[:, : self.other_recordings.links]
         columns = self.prior_std * manifold.whiten(manifold.point(self.inertias), links)[:, places]
         known, cost = self.other_recordings.marginalised(columns)
@@ -224,10 +219,9 @@ def inflation_of(rows: FloatArray, manifold: ParameterManifold, point: Point, pr
     """Return the factor, at least 1, by which the variances of the links' ``rows (r, D + 1)`` must grow to agree with a
     fit whose covariance of the links has the ``root (10 links, D)``: the model of these rows had errors, too.
 
-    MacKay's re-estimate, as for the prior std: mean square of the residuals, including the fit's uncertainty.
+    MacKay's re-estimate, as for the prior std: mean square of the residuals, including the fit's uncertainty. It is 1
+    without rows.
     """
-    if not len(rows):
-        return 1.0
     off = rows @ np.append(point.parameters - prior.parameters, 1.0)
     normals = manifold.whiten(point, rows[:, :-1])
     uncertainty = float(np.sum((normals[:, : len(root)] @ root) ** 2))

@@ -157,8 +157,6 @@ class _Test(Generic[Chosen]):
 
     def _is_impossible(self, alike: Sequence[Chosen], step: FloatArray) -> BoolArray:
         """True if a coefficient that cannot be negative would become so ``(G,)``."""
-        if alike[0].payload is not None:
-            return np.zeros(len(alike), dtype=bool)
         impossible = np.zeros(len(alike), dtype=bool)
         for index in np.flatnonzero(np.any(step < 0.0, axis=1)).tolist():
             terms = alike[index].terms[: alike[index].positives]

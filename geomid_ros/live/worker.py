@@ -209,12 +209,12 @@ class Worker:
     def _add(self, samples: Samples, received: FloatArray) -> None:
         """Add the rows of samples to the identifier. The messages that completed them were ``received (N,)`` [s]."""
         estimate, payload, identifier = self.solver.estimate, self.solver.payload, self.session.identifier
-        before = identifier.made
+        before = identifier.counts.made
         payload_parameters = None if payload is None else payload.added(np.zeros(self.session.model.dimension))
         try:
             stamps, rows, uncertain = identifier.add(samples, payload_parameters=payload_parameters)
         except Exception as error:  # noqa: BLE001 as above
-            lost = before + len(samples) * len(self.session.model.channels) - identifier.made
+            lost = before + len(samples) * len(self.session.model.channels) - identifier.counts.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
             self._fail("rows could not be computed", error)
             return

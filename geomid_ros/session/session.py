@@ -177,7 +177,7 @@ def document(
         verdict: its verdict; that of the session's review unless given.
     """
     review, effects = session.review, session.loaded.effects
-    rejected = dict(session.identifier.rows_rejected)
+    rejected = dict(session.identifier.counts.rejected)
     final = verdict or review.verdict(estimate)
     merged = {link.name: link.merged for link in estimate.links}
     return estimate_document(estimate, rejected, held_out, effects) | {

@@ -63,7 +63,7 @@ def test_by_channel_unknowns_are_those_of_all_columns() -> None:
         of_own[:, 3 * channel : 3 * channel + 3] = other[:, channel]
         felt = weights[:, channel, None] * np.column_stack([every[:, channel] / units[channel], of_own])
         rows = np.column_stack([felt, target[:, channel]])[10:]
-        assert sums.dense(channel) == pytest.approx(rows.T @ rows)
+        assert sums.weighed(np.arange(len(sums)) == channel) == pytest.approx(rows.T @ rows)
 
 
 def test_it_is_the_density_of_all_targets_together() -> None:

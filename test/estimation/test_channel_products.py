@@ -47,7 +47,7 @@ def test_they_are_those_of_all_columns() -> None:
         np.testing.assert_allclose(total, np.einsum("c,cni,cnj->ij", expected, left, left), atol=1e-12)
         np.testing.assert_allclose(products.targets, np.sum(left[:, :, -1] ** 2, axis=1))
     for channel, measured in enumerate(every):
-        np.testing.assert_allclose(whole.dense(channel), measured.T @ measured, atol=1e-12)
+        np.testing.assert_allclose(whole.weighed(np.arange(len(whole)) == channel), measured.T @ measured, atol=1e-12)
 
 
 def test_a_channel_has_no_room_for_what_it_does_not_have() -> None:

@@ -11,7 +11,7 @@ from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.objective import Evaluation, ProductsObjective
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, minimum
 from geomid_ros.geometry import compiled
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
@@ -83,7 +83,7 @@ def test_an_objective_of_channels_is_the_same(manifold: ParameterManifold, monke
 def test_a_channel_below_its_floor_is_one_of_known_noise() -> None:
     """Its value is that of a normal density with the floor as standard deviation, and the gradient is its slope."""
     rng = np.random.default_rng(1)
-    manifold = StraightManifold(1, 0, np.array([0.1, 20.0]))
+    manifold = ParameterManifold(1, 0, np.array([0.1, 20.0]))
     point = bodies.point(rng, manifold)
     free = sparse(rng, manifold, point)
     floors = np.where(np.arange(4) == 1, 2.0, 0.5) * np.sqrt(free.squares(point) / free.counts)
@@ -103,7 +103,7 @@ def test_a_channel_below_its_floor_is_one_of_known_noise() -> None:
 def test_an_objective_of_products_is_the_same(manifold: ParameterManifold, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
     point = bodies.point(rng, manifold)
-    products = sparse(rng, manifold, point).products.dense(0)
+    products = sparse(rng, manifold, point).products.weighed([1.0, 0.0, 0.0, 0.0])
     prior, known = bodies.point(rng, manifold), rng.normal(size=(2, manifold.dimension + 1))
     objective = ProductsObjective(manifold, products, prior, weights(rng, manifold), 1.0, known.T @ known)
     own = objective.evaluate(point)
@@ -157,7 +157,7 @@ def test_a_column_that_a_channel_does_not_have_does_not_matter_to_it() -> None:
 def test_the_minimum_of_channels_is_the_same(known: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the prior and from far away, where steps are shortened and taken back."""
     rng = np.random.default_rng(1)
-    manifold = StraightManifold(3, 0, rng.uniform(0.1, 10.0, size=4))
+    manifold = ParameterManifold(3, 0, rng.uniform(0.1, 10.0, size=4))
     profile = sparse(rng, manifold, bodies.point(rng, manifold), 3)
     rows = rng.normal(size=(known, manifold.dimension + 1))
     rows[:, :-1] = manifold.offset_rows(profile.prior, rows[:, :-1])
@@ -175,7 +175,7 @@ def test_the_minimum_of_channels_is_the_same(known: int, monkeypatch: pytest.Mon
 
 def test_a_minimum_is_not_looked_for_from_nowhere() -> None:
     rng = np.random.default_rng(0)
-    manifold = StraightManifold(1, 0, np.array([1.0]))
+    manifold = ParameterManifold(1, 0, np.array([1.0]))
     profile = sparse(rng, manifold, bodies.point(rng, manifold))
     nowhere = replace(profile.prior, reals=np.full(1, np.nan))
     with pytest.raises(LinAlgError, match="not finite"):

@@ -284,7 +284,7 @@ def test_all_rows_have_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
 
     original = effect_selection._grown
     monkeypatch.setattr(effect_selection, "_grown", recorded)
-    result = effect_selection.choose(own)
+    result = effect_selection.choose(own, None, lambda alone: alone)
     (first, _, moving), (second, begun, every) = seen
     assert (first, second) == (False, True)
     assert begun == moving.all_columns.tolist()

@@ -48,7 +48,7 @@ def test_standing_still_adds_nothing_and_pushes_nothing_out() -> None:
     case = arm("arm3", 0, seconds=5)
     before = fed(case)
     after = fed(case, still(case, 30.0), forgetting_time=10.0)
-    assert after.rows_rejected[STANDING_STILL] >= 3 * 2999
+    assert after.counts.rejected[STANDING_STILL] >= 3 * 2999
     assert after.rows - before.rows <= 3
     without = fed(case, forgetting_time=10.0)
     np.testing.assert_allclose(content(after.snapshot()), content(without.snapshot()), rtol=0.02)
@@ -73,7 +73,7 @@ def test_what_is_not_measured_is_counted_channel_by_channel() -> None:
     effort = case.samples.effort.copy()
     effort[:50, 0], effort[100:, 1] = np.nan, np.inf
     identifier = fed(case.with_efforts(effort))
-    assert identifier.rows_rejected[NOT_MEASURED] == 150
+    assert identifier.counts.rejected[NOT_MEASURED] == 150
     assert identifier.rows == 600 - 150
 
 
@@ -82,7 +82,7 @@ def test_reset_forgets_everything() -> None:
     identifier = fed(case, still(case, 1.0))
     identifier.reset()
     assert identifier.rows == 0
-    assert not +identifier.rows_rejected
+    assert not +identifier.counts.rejected
     with pytest.raises(InputError, match="no usable rows"):
         identifier.solve()
     identifier.add(other.samples)

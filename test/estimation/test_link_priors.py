@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from model.robots import urdf
 
-from geomid_ros.estimation import coupled_prior
+from geomid_ros.estimation import link_priors
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.fit import Fit
@@ -166,6 +166,6 @@ def test_what_a_file_lacks_makes_no_part_unlike_the_others(monkeypatch: pytest.M
 
 @pytest.mark.parametrize(("rounds", "told"), [(1, True), (50, False)])
 def test_a_fit_that_does_not_settle_says_so(rounds: int, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(coupled_prior, "ROUNDS", rounds)
+    monkeypatch.setattr(link_priors, "ROUNDS", rounds)
     estimate = identifier(("RL_thigh",), ("FL", "FR", "RL", "RR"), True).solve()
     assert any("ran out of steps" in warning for warning in estimate.warnings) is told

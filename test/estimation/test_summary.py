@@ -78,7 +78,8 @@ def test_folds_follow_one_another_in_time(count: int, block: int) -> None:
     again.restore(found.state())
     for later in (found, again):
         later.add(coefficients[:1], targets[:1], 1.0)
-    np.testing.assert_allclose(again.counts([3]), found.counts([3]))
+    last_counts = [[parts[3].count for parts in each.parts()] for each in (again, found)]
+    np.testing.assert_allclose(*last_counts)
 
 
 @pytest.mark.parametrize("forgetting_time", [np.inf, 100.0])
@@ -176,7 +177,7 @@ def test_memory_is_bounded() -> None:
     for _ in range(3):
         for one in map(slice, range(400), range(1, 401)):
             found.add(coefficients[one], targets[one])
-            most = max(most, sum(len(channel) for fold in found._waiting for channel in fold))
+            most = max(most, sum(len(part.waiting) for fold in found._summaries for part in fold))
     assert most < 2 * len(CHANNELS) * RowSummary._CHUNK
     for channel, parts in zip(found.groups, found.parts(), strict=True):
         for part in parts:
@@ -227,7 +228,7 @@ def test_what_waits_is_absorbed_channel_by_channel_without_changing_anything() -
     while pending.absorb_one():
         steps += 1
     assert steps == 3 * 5, "three channels are measured, in five of the folds"
-    assert not any(waiting for fold in pending._waiting for waiting in fold)
+    assert not any(part.waiting for fold in pending._summaries for part in fold)
     np.testing.assert_allclose(content(pending, x), expected, rtol=CONTENT)
 
 

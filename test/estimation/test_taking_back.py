@@ -53,7 +53,7 @@ def without(of: Case, begin: int, end: int = COUNT) -> Case:
 def assert_same(found: Identifier, expected: Identifier) -> None:
     """In all that is remembered, and in the estimate."""
     assert found.rows == expected.rows
-    assert found.counts.made == expected.counts.made == found.rows + found.rows_rejected.total()
+    assert found.counts.made == expected.counts.made == found.rows + found.counts.rejected.total()
     np.testing.assert_allclose(content(found.snapshot()), content(expected.snapshot()), rtol=1e-10)
     ours, theirs = found.memory().summary, expected.memory().summary
     assert (ours.instants, ours.rows) == (theirs.instants, theirs.rows)
@@ -78,8 +78,8 @@ def test_what_is_left_out_has_never_been(forgetting_time: float, said_at: int) -
     identifier = begun(of, forgetting_time, COUNT)
     add(identifier, of.samples, after)
     assert_same(identifier, add(begun(of, forgetting_time, 0), without(of, BEGIN).samples))
-    assert identifier.rows_rejected["bad"] == np.count_nonzero(np.isfinite(of.samples.effort[BEGIN:, BAD[0]]))
-    assert identifier.rows_rejected[NOT_MEASURED] == np.count_nonzero(np.isnan(of.samples.effort))
+    assert identifier.counts.rejected["bad"] == np.count_nonzero(np.isfinite(of.samples.effort[BEGIN:, BAD[0]]))
+    assert identifier.counts.rejected[NOT_MEASURED] == np.count_nonzero(np.isnan(of.samples.effort))
     assert max(np.diff(asked)) > 0
 
 

@@ -11,7 +11,7 @@ from geometry import bodies
 from scipy.signal import lfilter
 
 from geomid_ros.estimation.estimate import Estimate, effort_deviations
-from geomid_ros.estimation.estimator import EstimatorSettings, estimate, least_inflation
+from geomid_ros.estimation.estimator import WHITE_ROWS_PER_PERIOD, EstimatorSettings, estimate, filtered_fraction
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.estimation.uncertainty import (
@@ -91,7 +91,7 @@ def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolut
     inverse = np.linalg.inv(fisher + np.diag(spreads**-2.0))
     noise, inherited = error_covariance(inverse, fisher, 1.0, np.zeros((6, 6)), np.ones(6), 1.0 / spreads)
     resolution = inverse @ fisher
-    found = Uncertainty(noise + inherited, inherited, np.diag(spreads**2), 1.0)
+    found = Uncertainty(noise + inherited, inherited, np.diag(spreads**2), 1.0, np.zeros(len(spreads)))
     assert found.from_data(slice(0, 6)) == pytest.approx(np.trace(resolution) / 6.0, rel=1e-9)
 
 
@@ -124,8 +124,9 @@ def test_white_noise_through_the_low_pass_counts_as_its_bandwidth(cutoff: float,
     model = arm("arm3", 2).model
     rows = RowSummary(model.channels)
     rows.add(np.zeros((1, 3, model.dimension)), np.full((1, 3), np.nan), elapsed=period)
-    assert least_inflation(rows, cutoff) == pytest.approx(np.sum(kernel) ** 2 / np.sum(kernel**2), rel=0.01)
-    assert least_inflation(rows, np.inf) == 1.0
+    expected = np.sum(kernel**2) / np.sum(kernel) ** 2
+    assert filtered_fraction(rows, cutoff, WHITE_ROWS_PER_PERIOD) == pytest.approx(expected, rel=0.01)
+    assert filtered_fraction(rows, np.inf) == 1.0
 
 
 def test_rows_written_down_several_times_do_not_shrink_the_interval() -> None:

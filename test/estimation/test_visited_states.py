@@ -13,7 +13,7 @@ from geomid_ros.estimation import uncertainty
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.visited_states import VisitedStates
+from geomid_ros.estimation.visited_states import Visits
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import FloatArray
 
@@ -22,10 +22,8 @@ from .arms import arm
 PERIOD = 0.01
 
 
-def visited(states: FloatArray, apart: float = 0.0) -> VisitedStates:
-    found = VisitedStates(apart)
-    found.add(states, np.full(len(states), PERIOD))
-    return found
+def visited(states: FloatArray, apart: float = 0.0) -> Visits:
+    return Visits(age=apart).with_states(states, np.full(len(states), PERIOD), apart)
 
 
 def wandering(count: int, size: int = 6) -> FloatArray:
@@ -88,22 +86,20 @@ def test_no_more_than_some_are_kept_and_they_tell_the_same() -> None:
 
 @pytest.mark.parametrize("count", [300, 5000])
 def test_pieces_and_the_whole_are_the_same(count: int) -> None:
-    states, pieces = wandering(count), VisitedStates()
+    states, pieces = wandering(count), Visits()
     for piece in np.array_split(states, count // 43):
-        pieces.add(piece, np.full(len(piece), PERIOD))
+        pieces = pieces.with_states(piece, np.full(len(piece), PERIOD), 0.0)
     np.testing.assert_array_equal(pieces.kept, visited(states).kept)
 
 
 def test_the_same_motion_in_two_recordings_is_one() -> None:
     states = wandering(300)
-    both = visited(states)
-    both.plus(visited(states).visits)
+    both = visited(states).plus(visited(states))
     assert both.distinct == pytest.approx(0.5, abs=0.02)
 
 
 def test_of_two_recordings_states_are_kept_as_the_longer_one_has_them() -> None:
-    longer, shorter = visited(wandering(5000)), visited(wandering(1000))
-    longer.plus(shorter.visits)
+    longer = visited(wandering(5000)).plus(visited(wandering(1000)))
     assert longer.every == 8
     assert len(longer.kept) == pytest.approx(6000 / 8, abs=3)
 

@@ -136,8 +136,8 @@ class TestRoundTrip:
             np.testing.assert_allclose(found[0], found[1], rtol=1e-12, atol=0.0)
             for identifier in (one.identifier, other.identifier):
                 identifier.add(samples(one, half, INSTANTS))
-        rejected = one.identifier.rows_rejected
-        assert rejected == other.identifier.rows_rejected
+        rejected = one.identifier.counts.rejected
+        assert rejected == other.identifier.counts.rejected
         assert rejected["standing still"] > 0
 
     def test_what_follows_from_reasons_is_kept(self) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from geomid_ros.estimation.profile_objective import StraightManifold
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.inference.fit import fit
 from geomid_ros.inference.prior import OtherRecordings, Prior
 
@@ -28,7 +28,7 @@ def squares(prior: Prior, off: np.ndarray) -> float:
 def test_what_a_changed_link_was_is_marginalised(link: int) -> None:
     """The residuals are those of unit variance and of the old link's error, of the usual spread, together."""
     changed, places = IDENTIFIED.with_changed(link), slice(10 * link, 10 * link + 10)
-    manifold = StraightManifold(3, 0, np.ones(0))
+    manifold = ParameterManifold(3, 0, np.ones(0))
     jacobian = manifold.whiten(manifold.point(IDENTIFIED.inertias), np.eye(30))[places, places]
     old = 0.05 * KNOWN.rows[:, places] @ jacobian
     both = multivariate_normal(np.zeros(12), np.eye(12) + old @ old.T)
@@ -64,7 +64,7 @@ def test_without_other_recordings_each_effect_is_known_as_well_as_they_said() ->
     rows, spreads, changes = RANDOM.normal(scale=2.0, size=(12, 32)), np.array([0.3, 5.0, 7.0]), np.array([0.1, 0.2])
     known = OtherRecordings(rows, np.zeros(12), changes)
     prior = replace(IDENTIFIED, terms=("a", "b", "c"), values=np.ones(3), prior_stds=spreads, other_recordings=known)
-    manifold = StraightManifold(3, 0, np.ones(0))
+    manifold = ParameterManifold(3, 0, np.ones(0))
     jacobian = manifold.whiten(manifold.point(IDENTIFIED.inertias), np.eye(30))
     links = 0.05**2 * jacobian @ jacobian.T
     covariance = np.zeros((32, 32))

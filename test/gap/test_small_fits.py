@@ -10,11 +10,12 @@ import scipy.linalg
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.gap.candidates import Candidate, EffectTerm, passivity_constraints
 from geomid_ros.gap.judgement.sentences import parameters
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.inference import prior as before
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
@@ -42,7 +43,7 @@ def designed(seed: int, value: float = 0.3, link: FloatArray = LINK) -> Design:
 def objective(counts: float = 1.0) -> ProfileObjective:
     """At no minimum; ``counts`` of rows, relative."""
     design = designed(1)
-    manifold = StraightManifold(1, 0, np.array([0.5, 2.0]))
+    manifold = ParameterManifold(1, 0, np.array([0.5, 2.0]))
     known = np.random.default_rng(2).normal(size=(4, manifold.dimension + 1))
     profile = Profile(
         manifold,
@@ -56,7 +57,7 @@ def objective(counts: float = 1.0) -> ProfileObjective:
 def moved(own: ProfileObjective, direction: FloatArray, steps: tuple[float, ...]) -> list[float]:
     """Values along a straight line."""
     start = own.manifold.point(np.append(1.1 * LINK, [0.2, -0.1]))
-    return [own.evaluate(own.manifold.exp(start, step * direction)).value for step in steps]
+    return [own.evaluate(own.manifold.straight(start, step * direction)).value for step in steps]
 
 
 def test_the_gradient_is_the_slope_of_the_value() -> None:
@@ -84,7 +85,7 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
     start = own.manifold.point(np.append(1.1 * LINK, [0.2, -0.1]))
     jacobian = own.manifold.whiten(start, np.eye(own.manifold.dimension))
     of_rows = sum(
-        count / squares * own.profile.products.dense(channel)[:-1, :-1]
+        count / squares * own.profile.products.weighed(np.arange(CHANNELS) == channel)[:-1, :-1]
         for channel, (count, squares) in enumerate(zip(own.profile.counts, own.profile.squares(start), strict=True))
     )
     into = np.linalg.inv(own.manifold.offset_rows(own.profile.prior, np.eye(own.manifold.dimension)))
@@ -158,7 +159,7 @@ def test_the_covariance_is_the_inverse_information_in_parameters() -> None:
     np.testing.assert_allclose(found.covariance, jacobian @ found.inverse @ jacobian.T, rtol=1e-9)
     for place in range(11):
         tangent = step * np.eye(11)[place]
-        change = found.manifold.exp(found.point, tangent).parameters - found.point.parameters
+        change = found.manifold.straight(found.point, tangent).parameters - found.point.parameters
         np.testing.assert_allclose(jacobian[:, place], change / step, atol=1e-7)
 
 
@@ -381,7 +382,7 @@ class TestOtherRecordings:
     def test_the_inflation_is_the_most_probable_one(self) -> None:
         """Of residuals in units of enlarged standard deviations, and of the inflation itself."""
         rows = known_rows(self.KNOWN)
-        manifold = StraightManifold(1, 0, np.zeros(0))
+        manifold = ParameterManifold(1, 0, np.zeros(0))
         prior = manifold.point(LINK)
         point = manifold.point(1.05 * LINK)
         squares = float(np.sum((rows @ np.append(0.05 * LINK, 1.0)) ** 2))
@@ -395,7 +396,7 @@ class TestOtherRecordings:
 
     def test_what_the_fit_leaves_open_counts_as_error(self) -> None:
         rows = known_rows(replace(self.KNOWN, residuals=np.zeros(12)))
-        manifold = StraightManifold(1, 0, np.zeros(0))
+        manifold = ParameterManifold(1, 0, np.zeros(0))
         point = manifold.point(LINK)
         sure, unsure = (before.inflation_of(rows, manifold, point, point, std * np.eye(10)) for std in (1e-5, 1e3**0.5))
         assert sure == 1.0

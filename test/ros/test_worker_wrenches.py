@@ -206,7 +206,7 @@ def test_what_was_solved_for_from_bad_rows_is_forgotten(busy: Working, monkeypat
     known = busy.session.identifier
 
     def note(warm: Any = None) -> Estimate:
-        starts.append((warm, known.rows_rejected["wrench doubtful: /wrist"]))
+        starts.append((warm, known.counts.rejected["wrench doubtful: /wrist"]))
         return solve(warm)
 
     monkeypatch.setattr(known, "solve", note)
