@@ -13,9 +13,11 @@ the payload's columns B among A, determine the payload's likelihood, with ``V = 
 
 from __future__ import annotations
 
+import operator
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -339,13 +341,7 @@ def _largest_gain(information: FloatArray, slope: FloatArray) -> float:
 
 def _sum(blocks: Sequence[_Block]) -> _Block:
     """Sum of all blocks, in the order of time."""
-    first, *later = blocks
-    products = tuple(product.copy() for product in first.products)
-    for block in later:
-        for total, addend in zip(products, block.products, strict=True):
-            np.add(total, addend, out=total)
-    rows, counts = (np.sum(c, axis=0) for c in zip(*((block.rows, block.blocks) for block in blocks), strict=True))
-    return replace(first, products=products, rows=rows, blocks=counts)
+    return reduce(operator.add, blocks)
 
 
 def _fit_payload(likelihood: _Likelihood, prior: Point, precision: float, point: Point) -> _Fit:
