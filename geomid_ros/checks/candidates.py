@@ -148,9 +148,8 @@ class CandidateTest:
     @cached_property
     def repeats(self) -> bool:
         """True if every part of the recording supports it, with sizes of one sign."""
-        return all(
-            self._repeats(part) for part in self.subject.split(alternating=self.candidate.begins_during_recording)
-        )
+        parts = self.subject.alternating if self.candidate.begins_during_recording else self.subject.halves
+        return all(map(self._repeats, parts))
 
     def _repeats(self, part: EffortData) -> bool:
         judged = self.candidate.evaluate(part)

@@ -12,7 +12,7 @@ import numpy as np
 from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, TILT, CandidateFit, FaultCandidate
 from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.effort_data import EffortData
-from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
+from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_CORRELATION, LEAST_SIGMA, MOST
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.types import FloatArray
 
@@ -76,7 +76,7 @@ def _frictions(subject: EffortData) -> Iterator[FaultCandidate]:
     power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
     drives = (power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)
     concerned = np.flatnonzero(drives).tolist()
-    if concerned and not np.any(subject.has_opposite_sign(fitted)):
+    if concerned and not np.any(subject.fitted_slopes(fitted)[1] < -LEAST_CORRELATION):
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
 
         def undo(subject: EffortData) -> CandidateFit:
@@ -152,7 +152,8 @@ def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: b
 def _common_factor(subject: EffortData, slopes: FloatArray, r_squared: FloatArray) -> tuple[float, bool]:
     """Factor that makes all efforts those of the URDF, and True if it is certain without any evidence: if the fitted
     links are all too light or too heavy by the same factor."""
-    fitted, follows = subject.fitted_slopes(subject.nominal)
+    fitted, correlations = subject.fitted_slopes(subject.nominal)
+    follows = correlations > LEAST_CORRELATION
     for ratios, sure in ((slopes, (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0)), (fitted, follows)):
         if np.count_nonzero(sure) >= 2:
             factor = 1.0 / float(np.median(ratios[sure]))
