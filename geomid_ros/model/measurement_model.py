@@ -230,10 +230,16 @@ class MeasurementModel:
 
     @cached_property
     def usual_shapes(self) -> dict[Mechanism, int]:
-        """Index among the D parameters of each mechanism; of several instances of an effect, that of the first: the
-        default if it acts everywhere, else the first of its grid."""
+        """Index among the D parameters of each mechanism. Of several instances of an effect it is that of the one that
+        acts everywhere, the first; if all are candidates, that of the middle of their grid, which is nearest to all."""
         first = 10 * len(self.identified)
-        return {c.mechanism: first + k for k, c in reversed([*enumerate(self.coefficients)])}
+        instances: dict[Mechanism, list[int]] = {}
+        for index, coefficient in enumerate(self.coefficients):
+            instances.setdefault(coefficient.mechanism, []).append(index)
+        return {
+            mechanism: first + indices[(len(indices) - 1) // 2 if self.coefficients[indices[0]].optional else 0]
+            for mechanism, indices in instances.items()
+        }
 
     @property
     def described_coefficients(self) -> FloatArray:
