@@ -103,10 +103,6 @@ class JointGate(Gate):
         suspicious |= (np.abs(steps(numbers[:, 2], self._last[-1, 2])) > self._efforts.least).any(axis=1)
         return suspicious
 
-    def _distance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Distances between positions ``(..., joints)``, modulo whole turns."""
-        return self._size(first - second)
-
     def _size(self, step: FloatArray) -> FloatArray:
         """Sizes of position steps ``(..., joints)``, modulo whole turns."""
         return np.asarray(np.abs(step - self._turn * np.rint(step / tau)))
@@ -171,12 +167,12 @@ class JointGate(Gate):
         """Describe a position that jumps away and back faster than the joint can move; empty if none does."""
         last, reach = self._last[-1], self._elapsed(stamps, length) * self._speed
         away, back, later = numbers[:length], numbers[length], numbers[length + 1]
-        far = np.min(np.minimum(self._distance(away[:, 0], last[0]), self._distance(away[:, 0], back[0])), axis=0)
+        far = np.min(np.minimum(self._size(away[:, 0] - last[0]), self._size(away[:, 0] - back[0])), axis=0)
         jumps = far > reach
         if not jumps.any():  # of nearly all that are suspicious
             return ""
-        jumps &= self._distance(back[0], last[0]) < reach
-        jumps &= self._distance(later[0], last[0]) < 2.0 * reach
+        jumps &= self._size(back[0] - last[0]) < reach
+        jumps &= self._size(later[0] - last[0]) < 2.0 * reach
         jumps &= far > CLEAR_RATIO * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
         return (
             f"position of '{self._joints[int(np.argmax(jumps))]}' jumps, and back, faster than it can move"
@@ -187,7 +183,7 @@ class JointGate(Gate):
     def _position_leaps(self, stamps: IntArray, numbers: FloatArray) -> bool:
         """True if a position continues elsewhere, farther than the joint can move."""
         reach = self._elapsed(stamps, 0) * self._speed
-        far = self._distance(numbers[0, 0], self._last[-1, 0])
+        far = self._size(numbers[0, 0] - self._last[-1, 0])
         if not (far > reach).any():
             return False
         largest_step = np.maximum(self._largest_step(self._last), self._largest_step(numbers))
@@ -205,7 +201,7 @@ class JointGate(Gate):
 
     def _largest_step(self, numbers: FloatArray) -> FloatArray:
         """Largest step between consecutive positions ``(joints,)``: a fast joint may exceed its assumed limit."""
-        moved = self._distance(numbers[1:, 0], numbers[:-1, 0])
+        moved = self._size(numbers[1:, 0] - numbers[:-1, 0])
         return np.asarray(np.max(moved, axis=0, initial=0.0))
 
     def _clock_was_set(self, stamps: IntArray, numbers: FloatArray) -> bool:

@@ -207,7 +207,7 @@ class SignalPipeline:
             if block.topic == JOINT_STATES and len(self.received_joints) < MOST_WAITING:
                 self.received_joints.update(block.names)
             try:
-                source = block.topic, self._part(block)
+                source = block.topic, self._parts.part(block.names) if block.topic == JOINT_STATES else ()
             except RejectedError as error:
                 self._refused(block.topic, error.reason, len(block.stamps))
                 continue
@@ -218,9 +218,6 @@ class SignalPipeline:
                 MessageBatch(block.order + self._arrived, block.stamps, numbers, refusals)
             )
         return {source: MessageBatch.in_order(arrivals) for source, arrivals in groups.items()}
-
-    def _part(self, block: Block) -> Part:
-        return self._parts.part(block.names) if block.topic == JOINT_STATES else ()
 
     def _numbers(self, source: Source, block: Block) -> tuple[FloatArray, AnyArray]:
         if block.topic == JOINT_STATES:
