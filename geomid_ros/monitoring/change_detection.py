@@ -254,16 +254,15 @@ class _Cusum:
             self._suspect.clear()
         elif self._evidence == 0.0 or self._moves_otherwise:
             self._evidence = 0.0
-            self._learn(joined)
+            self._learn()
             if self._moves_otherwise and not moved_otherwise:
                 self._energies.clear()
                 self._learned = 0
         if self._open and np.isfinite(self._forgetting_time):
             self._factor = joined
 
-    def _learn(self, with_last: FloatArray) -> None:
-        """Learn from suspect blocks as normal ones. ``with_last`` is the factor after the last block alone."""
-        is_single = len(self._suspect) == 1
+    def _learn(self) -> None:
+        """Learn from suspect blocks as normal ones."""
         while self._suspect:
             energy, rows, is_typical = self._suspect.popleft()
             if is_typical and self._rows >= _FEWEST * len(self._channel.columns):
@@ -271,7 +270,7 @@ class _Cusum:
                 self._learned += 1
                 if self._learned % _MOST_BLOCKS == 0:
                     self._earlier.append(self._recent)
-            self._factor = with_last if is_single else triangular(np.concatenate([self._factor, rows]))
+            self._factor = triangular(np.concatenate([self._factor, rows]))
             self._rows += len(rows)
 
     def _leverage(self, coefficients: FloatArray) -> float:
