@@ -46,12 +46,10 @@ def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Fault
 
 def _orders(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for swapped efforts of two joints."""
-    for pairs in exchanges(subject.names):
-        if len(pairs) == 1:
-            pair = list(pairs[0])
-            matrix = np.eye(len(subject.joints))
-            matrix[pair] = matrix[pair[::-1]]
-            yield _linear(matrix, Cause.of("order", [subject.names[joint] for joint in pair]), pair)
+    for first, second in exchanges(subject.names)[0]:
+        matrix = np.eye(len(subject.joints))
+        matrix[[first, second]] = matrix[[second, first]]
+        yield _linear(matrix, Cause.of("order", [subject.names[first], subject.names[second]]), [first, second])
 
 
 def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -60,8 +58,8 @@ def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
     They are not named, because sound recordings of some seconds may look like them. But they explain what would be
     taken for a sign or a gain: the joint is then reported as unexplained, with a hint at the coupling.
     """
-    for pairs in exchanges(subject.names):
-        for joint, other in (*pairs, *(pair[::-1] for pair in pairs)) if len(pairs) == 1 else ():
+    for pair in exchanges(subject.names)[0]:
+        for joint, other in (pair, pair[::-1]):
             for sign in (1.0, -1.0):
                 matrix = np.eye(len(subject.joints))
                 matrix[joint, other] = sign
@@ -224,21 +222,19 @@ def with_gravity_added(subject: EffortData) -> EffortData:
     return subject.with_efforts(subject.measured + subject.weight)
 
 
-def exchanges(names: Sequence[str]) -> list[list[tuple[int, int]]]:
-    """Return plausible exchanges: of two joints, and of all joints on the left with those on the right.
-
-    Args:
-        names: of joints, in the robot's order.
+def exchanges(names: Sequence[str]) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Return plausible exchanges of joints by their ``names``, in the robot's order.
 
     Returns:
-        For each exchange, the pairs of indices ``(first, second)`` that swap names.
+        The pairs of indices ``(first, second)`` of which one may swap names; and those of joints on the left and on the
+        right that may swap names together, none if there are fewer than two.
     """
     places = {name: place for place, name in enumerate(names)}
     mirrored = [(place, places.get(_mirrored(name), place)) for name, place in places.items()]
     sides = [(first, second) for first, second in mirrored if first < second]
     count = len(names)
     pairs = [*combinations(range(count), 2)] if count <= _PAIRS else [*pairwise(range(count)), *sides]
-    return [*([pair] for pair in dict.fromkeys(pairs)), *([sides] if len(sides) > 1 else [])]
+    return list(dict.fromkeys(pairs)), sides if len(sides) > 1 else []
 
 
 def _mirrored(name: str) -> str:

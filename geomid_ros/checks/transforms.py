@@ -47,7 +47,8 @@ TIMES = (0.5, 2.0, 1e-3, 1e3)
 
 def _names(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for swapped names: positions and efforts of one joint are those of another."""
-    for pairs in exchanges(subject.names):
+    single, sides = exchanges(subject.names)
+    for pairs in [*([pair] for pair in single), *([sides] if sides else [])]:
         sources = np.arange(len(subject.joints))
         for first, second in pairs:
             sources[[first, second]] = second, first

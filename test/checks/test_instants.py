@@ -39,12 +39,15 @@ def test_they_are_bounded_apart_and_spread_over_all(seconds: float) -> None:
     assert recorded.stamps[-1] - found.stamps[-1] <= np.max(steps)
 
 
-def test_another_recording_with_earlier_stamps_is_taken_too() -> None:
+@pytest.mark.parametrize("at_once", [False, True])
+def test_another_recording_with_earlier_stamps_is_taken_too(at_once: bool) -> None:
     instants, recorded = SampleReservoir(), recording(3.0)
-    instants.add(recorded)
-    before = len(instants)
-    instants.add(recorded)
-    assert len(instants) == 2 * before
+    alone = len(kept(recorded, 17))
+    for batch in [Samples.concatenate([recorded, recorded])] if at_once else [recorded, recorded]:
+        instants.add(batch)
+    assert len(instants) == 2 * alone
+    assert instants.kept is not None
+    assert np.bincount(instants.kept.recordings).tolist() == [alone, alone]
 
 
 def test_a_stretch_has_the_last_instants_in_motion() -> None:
