@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from estimation.arms import motion, samples
 
+from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
 from geomid_ros.checks.sample_reservoir import STEP, RecentMotion, SampleReservoir
 from geomid_ros.model.samples import Samples
 
@@ -63,3 +67,20 @@ def test_a_stretch_has_the_last_instants_in_motion() -> None:
     assert 750 <= len(found) < 800
     assert np.all(np.diff(found.stamps // STEP) > 0)
     assert later.stamps[-1] - found.stamps[-1] < STEP
+
+
+def test_nothing_is_compared_across_a_clock_that_was_set_back() -> None:
+    """In the middle of what comes at once, as from a bag: of the motion the samples after that are kept."""
+    seen: list[Excerpt] = []
+
+    def judge(_: CheckTask, excerpt: Excerpt) -> CheckResult:
+        seen.append(excerpt)
+        return CheckResult()
+
+    model: Any = SimpleNamespace(legs=None)
+    recorded, check = recording(4.0), RecordingCheck(CheckTask(model, np.ones(2), {}), judge)
+    check.add(Samples.concatenate([recorded, recorded]))
+    check.findings()
+    found = seen[0].recent_motion
+    assert found is not None
+    assert np.all(np.diff(found.stamps // STEP) > 0)
