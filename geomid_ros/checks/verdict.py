@@ -154,7 +154,7 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
     blocks = [block for block in np.array_split(errors, BLOCKS) if len(block)]
     with np.errstate(invalid="ignore"):  # NaN where nothing was measured
         means = [np.nansum(block, axis=0) / np.count_nonzero(np.isfinite(block), axis=0) for block in blocks]
-    return _worse(model, *np.moveaxis(means, 2, 0))
+    return _worse(model, *np.moveaxis(np.array(means), 2, 0))
 
 
 def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
