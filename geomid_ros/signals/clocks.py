@@ -137,10 +137,9 @@ class VelocityCheck:
     def _scaled(self, sums: FloatArray) -> BoolArray:
         """True for joints whose velocities differ from the derivatives by a factor, from sums ``(4, ...)``."""
         _, given, product, derived = sums
-        off: BoolArray = np.abs(product - derived) > self._OFF * derived
-        if off.any():
-            off &= self._informative(sums) & (product**2 > self._IN_PROPORTION * given * derived)
-        return off
+        off = np.abs(product - derived) > self._OFF * derived
+        in_proportion = product**2 > self._IN_PROPORTION * given * derived
+        return np.asarray(off & in_proportion & self._informative(sums))
 
     def remark(self) -> Reason | None:
         """Return a remark on the messages' velocities, once; None if there is none."""

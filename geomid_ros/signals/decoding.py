@@ -115,8 +115,6 @@ class Decoder:
             else:
                 layout = layouts.popleft()
                 same = layout.matches(data)
-                if same.all():
-                    return [*blocks, layout.block(data, remaining)]
                 if same.any():
                     blocks.append(layout.block(data[same], remaining[same]))
                     data, remaining = data[~same], remaining[~same]

@@ -169,8 +169,6 @@ class JointGate(Gate):
         away, back, later = numbers[:length], numbers[length], numbers[length + 1]
         far = np.min(np.minimum(self._size(away[:, 0] - last[0]), self._size(away[:, 0] - back[0])), axis=0)
         jumps = far > reach
-        if not jumps.any():  # of nearly all that are suspicious
-            return ""
         jumps &= self._size(back[0] - last[0]) < reach
         jumps &= self._size(later[0] - last[0]) < 2.0 * reach
         jumps &= far > CLEAR_RATIO * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
@@ -184,8 +182,6 @@ class JointGate(Gate):
         """True if a position continues elsewhere, farther than the joint can move."""
         reach = self._elapsed(stamps, 0) * self._speed
         far = self._size(numbers[0, 0] - self._last[-1, 0])
-        if not (far > reach).any():
-            return False
         largest_step = np.maximum(self._largest_step(self._last), self._largest_step(numbers))
         return bool(np.any((far > reach) & (far > CLEAR_RATIO * largest_step)))
 
@@ -194,8 +190,6 @@ class JointGate(Gate):
         last, away, back, later = self._last[-1, 2], numbers[:length, 2], numbers[length, 2], numbers[length + 1, 2]
         height = np.min(np.minimum(np.abs(away - last), np.abs(away - back)), axis=0)
         spikes = height > self._efforts.least
-        if not spikes.any():
-            return ""
         spikes &= np.maximum(np.abs(back - last), np.abs(later - last)) < height / CLEAR_RATIO
         return f"effort of '{self._joints[int(np.argmax(spikes))]}'" if spikes.any() else ""
 
@@ -213,15 +207,12 @@ class JointGate(Gate):
             return False
         if np.any((periods < period / CLEAR_RATIO) | (periods > _USUAL_STEP * period)):
             return False
-        before, after = self._without_turns(self._last[-count:, 0], numbers[:, 0])
-        ends = _edge_state(self._stamps[-count:] - self._stamps[-1], before), _edge_state(stamps - stamps[0], after)
-        return _chi_square(*ends, step) > _chi_square(*ends, period) + _MUCH_LESS_LIKELY
-
-    def _without_turns(self, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return both position sequences relative to the last of ``before``, without whole turns."""
-        relative = np.concatenate([before, after]) - before[-1]
-        unwrapped = relative - self._turn * np.round(relative / tau)
-        return unwrapped[: len(before)], unwrapped[len(before) :]
+        before = self._last[-count:, 0]
+        relative = np.concatenate([before, numbers[:, 0]]) - before[-1]
+        relative -= self._turn * np.round(relative / tau)
+        end = _edge_state(self._stamps[-count:] - self._stamps[-1], relative[:count])
+        start = _edge_state(stamps - stamps[0], relative[count:])
+        return _chi_square(end, start, step) > _chi_square(end, start, period) + _MUCH_LESS_LIKELY
 
 
 def _edge_state(stamps: IntArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -79,7 +79,7 @@ class Stream(Generic[S]):
     def push(self, stamps: IntArray, values: FloatArray) -> None:
         """Take the values ``(N, values)`` of messages with increasing ``stamps (N,)`` [ns], later than before."""
         late = steps(stamps, stamps[0] if self._last is None else self._last) > self._max_gap
-        pauses = np.flatnonzero(late).tolist() if late.any() else []
+        pauses = np.flatnonzero(late).tolist()
         for begin, end in pairwise(sorted({0, *pauses, len(stamps)})):
             if begin in pauses:
                 self._segments.append(self._new_segment())
