@@ -53,19 +53,18 @@ class BaselineFit:
         friction: FloatArray,
         tolerated: FloatArray,
         position: FloatArray,
-        velocity: FloatArray,
     ) -> None:
         """
         Args:
             measured, predicted: ``(N, C)`` the efforts, and those of the URDF's links.
             links: columns of the links' errors.
-            friction: ``(N, C, 5)`` columns of friction.
+            friction: ``(N, C, 5)`` columns of friction; the second one is the velocity.
             tolerated: ``(C, 5)`` prior standard deviations of friction's coefficients.
-            position, velocity: ``(N, C)`` of the joints.
+            position: ``(N, C)`` of the joints.
         """
         self.measured, self._predicted = measured, predicted
         self.measured_std = np.std(measured, axis=0)
-        self._moving = moving(velocity).astype(np.float64)
+        self._moving = moving(friction[:, :, 1]).astype(np.float64)
         self.instants = float(np.mean(np.maximum(np.sum(self._moving, axis=0), 1.0)))
         """Mean number of samples per channel."""
         self._own = np.concatenate([_curves(position, friction, predicted), friction], axis=2)

@@ -148,9 +148,8 @@ class CandidateTest:
     @cached_property
     def repeats(self) -> bool:
         """True if every part of the recording supports it, with sizes of one sign."""
-        return all(
-            self._repeats(part) for part in self.subject.split(alternating=self.candidate.begins_during_recording)
-        )
+        parts = self.subject.alternating if self.candidate.begins_during_recording else self.subject.halves
+        return all(map(self._repeats, parts))
 
     def _repeats(self, part: EffortData) -> bool:
         judged = self.candidate.evaluate(part)
@@ -165,18 +164,18 @@ class FaultDecision:
     """Decision among candidates.
 
     Attributes:
-        finding: what is wrong; None if nothing is.
-        unconfirmed: causes that are probable, but not believed, the most probable first.
         count: number of causes that were tried.
         sigmas: ``(C,)`` of the residuals with the finding undone, in standard deviations of the measured channels.
         remarked_cause: cause that is only remarked on, if it is probable.
+        finding: what is wrong; None if nothing is.
+        unconfirmed: causes that are probable, but not believed, the most probable first.
     """
 
-    finding: RecordingFault | None
-    unconfirmed: Sequence[CandidateTest]
     count: int
     sigmas: FloatArray
     remarked_cause: Cause | None
+    finding: RecordingFault | None = None
+    unconfirmed: Sequence[CandidateTest] = ()
 
 
 def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> FaultDecision:
@@ -205,16 +204,14 @@ def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Fau
         (one.cause for one in ordered if above[one] and one.cause.settings and not one.candidate.may_be_named), None
     )
     if best is None:
-        return FaultDecision(
-            finding=None, unconfirmed=doubted, count=count, sigmas=nominal.sigmas, remarked_cause=level
-        )
+        return FaultDecision(count=count, sigmas=nominal.sigmas, remarked_cause=level, unconfirmed=doubted)
     if best not in likely:  # a settled cause needs no evidence: any that has some is its rival
         likely = [*{one.name: one for one in reversed(probable)}.values()]
     rivals = [one for one in likely if one.name != best.name]
     elsewhere = {one.cause.places for one in rivals if one.is_accepted} - {best.cause.places}
     sure = best.candidate.needs_no_evidence or len(elsewhere) <= 1
     finding = RecordingFault(cause=best.cause, sure=sure, rivals=tuple(one.cause for one in rivals) if sure else ())
-    return FaultDecision(finding=finding, unconfirmed=(), count=count, sigmas=best.fit.sigmas, remarked_cause=level)
+    return FaultDecision(count=count, sigmas=best.fit.sigmas, remarked_cause=level, finding=finding)
 
 
 def contradicted(doubted: Iterable[CandidateTest], count: int) -> tuple[RecordingFault, ...]:

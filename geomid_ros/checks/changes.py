@@ -42,6 +42,11 @@ class _Kind:
     grows: bool = False
     first: bool = False
 
+    def onset(self, subject: EffortData, place: float) -> FloatArray:
+        """Columns from a ``place`` on, or until it, or growing gradually if it is NaN."""
+        weight = subject.shares if np.isnan(place) else (subject.shares >= place) != self.first
+        return np.asarray(weight[:, None, None] * self.columns(subject))
+
 
 def changes(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield the changes that explain anything."""
@@ -53,11 +58,11 @@ def changes(subject: EffortData) -> Iterator[FaultCandidate]:
         place, promise = float(_PLACES[int(np.argmax(tried))]), float(np.max(tried))
         when = f"{'until' if kind.first else 'from'} about {elapsed(subject.samples.stamps, place):.0f} s"
         when += "" if kind.first else " on"
-        if kind.grows and (growing := float(fit.predicted_gains(_share(subject) * always)[0])) > promise:
+        if kind.grows and (growing := float(fit.predicted_gains(subject.shares[:, None, None] * always)[0])) > promise:
             place, when, promise = np.nan, BIT_BY_BIT, growing
         if promise <= 0.0:
             continue
-        gain = fit.gain(_onset(subject, kind, place))
+        gain = fit.gain(kind.onset(subject, place))
         described = kind.said(gain, when)
         if described is not None:
             yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), *described)
@@ -67,10 +72,8 @@ def _candidate(
     kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int] | EllipsisType
 ) -> FaultCandidate:
     def undo(subject: EffortData) -> CandidateFit:
-        gain, always = (
-            subject.baseline_fit.gain(_onset(subject, kind, place)),
-            subject.baseline_fit.gain(kind.columns(subject)),
-        )
+        gain = subject.baseline_fit.gain(kind.onset(subject, place))
+        always = subject.baseline_fit.gain(kind.columns(subject))
         beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
         return _judged(subject, beyond, slice(main, main + 1))
 
@@ -86,20 +89,6 @@ def _judged(subject: EffortData, gain: EvidenceGain, main: slice) -> CandidateFi
         estimates=gain.coefficients[main],
         deviations=gain.deviations[main],
     )
-
-
-def _later(subject: EffortData, place: float, first: bool) -> FloatArray:
-    return np.asarray((subject.shares >= place) != first, dtype=np.float64)[:, None, None]
-
-
-def _share(subject: EffortData) -> FloatArray:
-    return subject.shares[:, None, None]
-
-
-def _onset(subject: EffortData, kind: _Kind, place: float) -> FloatArray:
-    """Columns from a place on, or growing gradually if it is NaN."""
-    weight = _share(subject) if np.isnan(place) else _later(subject, place, kind.first)
-    return np.asarray(weight * kind.columns(subject))
 
 
 def _kinds(subject: EffortData) -> Iterator[_Kind]:

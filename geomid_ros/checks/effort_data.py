@@ -104,19 +104,15 @@ class EffortData:
             part.__dict__["unknowns"] = self.unknowns.select(chosen)
         return part
 
-    def split(self, *, alternating: bool = False) -> list[EffortData]:
-        """Split into the recordings, or into both halves of the motion of a single one; if ``alternating``, into two
-        sets of alternate stretches, which both have something of all of the motion. In each part every effort
-        changes."""
-        return self._alternating if alternating else self._halves
-
     @cached_property
-    def _halves(self) -> list[EffortData]:
+    def halves(self) -> list[EffortData]:
+        """The recordings, or both halves of the motion of a single one. In each part every effort changes."""
         moved, several = np.cumsum(self.is_moving), len(np.unique(self.recordings)) > 1
         return self._divided(self.recordings if several else 2 * moved // (moved[-1] + 1))
 
     @cached_property
-    def _alternating(self) -> list[EffortData]:
+    def alternating(self) -> list[EffortData]:
+        """Two sets of alternate stretches, which both have something of all of the motion, like :attr:`halves`."""
         moved = np.cumsum(self.is_moving)
         return self._divided((STRETCHES * moved // (moved[-1] + 1)) % 2)
 
@@ -252,7 +248,6 @@ class EffortData:
             friction=self.friction,
             tolerated=self.tolerated,
             position=self.samples.position[:, self.joints],
-            velocity=self.samples.velocity[:, self.joints],
         )
 
     @cached_property
@@ -324,19 +319,9 @@ class EffortData:
         slopes = crossed / np.maximum(squares, 1e-30)
         return slopes, crossed**2 / np.maximum(squares * np.sum(measured**2, axis=1), 1e-30)
 
-    def fitted_slopes(self, found: Evidence) -> tuple[FloatArray, BoolArray]:
-        """Efforts of the fitted links as a multiple of the URDF's, and True where this factor is certain ``(C,)``."""
-        slopes, correlations = self._compared(found)
-        return slopes, np.asarray(correlations > np.sqrt(1.0 - LARGEST_RESIDUAL**2))
-
-    def has_opposite_sign(self, found: Evidence) -> BoolArray:
-        """True if the efforts of the fitted links oppose those of the URDF's ``(C,)``, as if mass were negative. This
-        indicates efforts with the wrong sign where links explain a good part of them."""
-        return np.asarray(self._compared(found)[1] < -np.sqrt(1.0 - LARGEST_RESIDUAL**2))
-
-    def _compared(self, fit: Evidence) -> tuple[FloatArray, FloatArray]:
+    def fitted_slopes(self, fit: Evidence) -> tuple[FloatArray, FloatArray]:
         """Slope of the fitted links' efforts over the URDF's, and their correlation, which is zero where these links
-        explain little of the measurement ``(C,)``."""
+        explain little of the measurement ``(C,)``. If it is negative, as if mass were, efforts have the wrong sign."""
         fitted, nominal = self.regressor @ self.links(fit), self.predicted
         fitted, nominal = fitted - np.mean(fitted, axis=0), nominal - np.mean(nominal, axis=0)
         crossed, size = np.sum(fitted * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)

@@ -12,7 +12,7 @@ import numpy as np
 from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, TILT, CandidateFit, FaultCandidate
 from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.effort_data import EffortData
-from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
+from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_CORRELATION, LEAST_SIGMA, MOST
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.types import FloatArray
 
@@ -46,12 +46,10 @@ def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Fault
 
 def _orders(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for swapped efforts of two joints."""
-    for pairs in exchanges(subject.names):
-        if len(pairs) == 1:
-            pair = list(pairs[0])
-            matrix = np.eye(len(subject.joints))
-            matrix[pair] = matrix[pair[::-1]]
-            yield _linear(matrix, Cause.of("order", [subject.names[joint] for joint in pair]), pair)
+    for first, second in exchanges(subject.names)[0]:
+        matrix = np.eye(len(subject.joints))
+        matrix[[first, second]] = matrix[[second, first]]
+        yield _linear(matrix, Cause.of("order", [subject.names[first], subject.names[second]]), [first, second])
 
 
 def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -60,8 +58,8 @@ def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
     They are not named, because sound recordings of some seconds may look like them. But they explain what would be
     taken for a sign or a gain: the joint is then reported as unexplained, with a hint at the coupling.
     """
-    for pairs in exchanges(subject.names):
-        for joint, other in (*pairs, *(pair[::-1] for pair in pairs)) if len(pairs) == 1 else ():
+    for pair in exchanges(subject.names)[0]:
+        for joint, other in (pair, pair[::-1]):
             for sign in (1.0, -1.0):
                 matrix = np.eye(len(subject.joints))
                 matrix[joint, other] = sign
@@ -76,7 +74,7 @@ def _frictions(subject: EffortData) -> Iterator[FaultCandidate]:
     power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
     drives = (power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)
     concerned = np.flatnonzero(drives).tolist()
-    if concerned and not np.any(subject.has_opposite_sign(fitted)):
+    if concerned and not np.any(subject.fitted_slopes(fitted)[1] < -LEAST_CORRELATION):
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
 
         def undo(subject: EffortData) -> CandidateFit:
@@ -152,7 +150,8 @@ def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: b
 def _common_factor(subject: EffortData, slopes: FloatArray, r_squared: FloatArray) -> tuple[float, bool]:
     """Factor that makes all efforts those of the URDF, and True if it is certain without any evidence: if the fitted
     links are all too light or too heavy by the same factor."""
-    fitted, follows = subject.fitted_slopes(subject.nominal)
+    fitted, correlations = subject.fitted_slopes(subject.nominal)
+    follows = correlations > LEAST_CORRELATION
     for ratios, sure in ((slopes, (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0)), (fitted, follows)):
         if np.count_nonzero(sure) >= 2:
             factor = 1.0 / float(np.median(ratios[sure]))
@@ -223,21 +222,19 @@ def with_gravity_added(subject: EffortData) -> EffortData:
     return subject.with_efforts(subject.measured + subject.weight)
 
 
-def exchanges(names: Sequence[str]) -> list[list[tuple[int, int]]]:
-    """Return plausible exchanges: of two joints, and of all joints on the left with those on the right.
-
-    Args:
-        names: of joints, in the robot's order.
+def exchanges(names: Sequence[str]) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Return plausible exchanges of joints by their ``names``, in the robot's order.
 
     Returns:
-        For each exchange, the pairs of indices ``(first, second)`` that swap names.
+        The pairs of indices ``(first, second)`` of which one may swap names; and those of joints on the left and on the
+        right that may swap names together, none if there are fewer than two.
     """
     places = {name: place for place, name in enumerate(names)}
     mirrored = [(place, places.get(_mirrored(name), place)) for name, place in places.items()]
     sides = [(first, second) for first, second in mirrored if first < second]
     count = len(names)
     pairs = [*combinations(range(count), 2)] if count <= _PAIRS else [*pairwise(range(count)), *sides]
-    return [*([pair] for pair in dict.fromkeys(pairs)), *([sides] if len(sides) > 1 else [])]
+    return list(dict.fromkeys(pairs)), sides if len(sides) > 1 else []
 
 
 def _mirrored(name: str) -> str:

@@ -27,6 +27,8 @@ FRICTION = 5
 """Columns of a channel: a constant, viscous friction, dry friction that sets in at once or gradually, rotor inertia."""
 LARGEST_RESIDUAL = 0.6
 """Largest residual of a channel that follows the model, as a fraction of its standard deviation."""
+LEAST_CORRELATION = float(np.sqrt(1.0 - LARGEST_RESIDUAL**2))
+"""Correlation of a channel with the model at this residual."""
 MOST = 0.5
 """Fraction of a whole: more is most of it."""
 _SETTLED = 1e-3

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.evidence import MOST
+from geomid_ros.checks.rotations import best_rotation, rotation_angle
 from geomid_ros.checks.sample_reservoir import FEWEST, STEP
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, Estimate
 from geomid_ros.model.contacts import DIRECTIONS, Contact, Legs
@@ -170,22 +170,6 @@ _SHIFTS = STEP * np.arange(-10, 11)  # [ns]
 _TURNED_BY_LEGS = np.radians(10.0)  # encoder zeros, and rolling feet, cause a few degrees
 
 
-@dataclass(frozen=True, eq=False)
-class _Turning:
-    """Comparison of a gyroscope with the legs.
-
-    Attributes:
-        late: delay of its stamps [s].
-        angle: of its rotation against its frame [rad].
-        before, after: fraction of the legs' squared angular velocity that it leaves, as it is, and corrected.
-    """
-
-    late: float
-    angle: float
-    before: float
-    after: float
-
-
 def gyroscope(legs: Legs, stretch: Samples) -> tuple[RecordingFault, ...]:
     """Report a fault of the base's gyroscope, if both halves of a ``stretch`` on all feet show it."""
     measured, seconds = stretch.base_velocity[:, 3:], stretch.seconds
@@ -199,25 +183,20 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[RecordingFault, ...]:
     parts = [(turning[usable[half]], moved[:, half]) for half in np.array_split(np.arange(len(usable)), 2)]
     if not all(np.any(by_legs) and np.all(np.any(shifted, axis=(1, 2))) for by_legs, shifted in parts):
         return ()  # they can be compared only where both measure a rotation
-    halves = [_compared(*part) for part in parts]
-    if any(half_turning.after > MOST * min(half_turning.before, MOST) for half_turning in halves):
+    late, angle, before, after = np.array([_compared(*part) for part in parts]).T
+    if np.any(after > MOST * np.minimum(before, MOST)):
         return ()
-    late, angle = (np.array([getattr(half_turning, name) for half_turning in halves]) for name in ("late", "angle"))
     off = 1e9 * abs(float(np.mean(late)))
     if off > STEP and np.ptp(late) < MOST * abs(np.mean(late)):
         word = ("late" if np.mean(late) > 0.0 else "early") + (" or more" if off > _SHIFTS[-2] else "")
-        return (_finding(f"its stamps are {1e-6 * off:.0f} ms {word}: synchronise its clock with that of the joints"),)
-    if np.mean(angle) > _TURNED_BY_LEGS and np.ptp(angle) < MOST * np.mean(angle):
+        fault = f"its stamps are {1e-6 * off:.0f} ms {word}: synchronise its clock with that of the joints"
+    elif np.mean(angle) > _TURNED_BY_LEGS and np.ptp(angle) < MOST * np.mean(angle):
         degrees = np.degrees(np.mean(angle))
-        return (
-            _finding(f"it is turned by about {degrees:.0f} degrees against its frame in the URDF: correct the frame"),
-        )
-    return ()
-
-
-def _finding(fault: str) -> RecordingFault:
+        fault = f"it is turned by about {degrees:.0f} degrees against its frame in the URDF: correct the frame"
+    else:
+        return ()
     sentence = f"the gyroscope disagrees with the base rotation computed from the standing legs: {fault}"
-    return RecordingFault(cause=Cause(kind="imu", sentence=sentence))
+    return (RecordingFault(cause=Cause(kind="imu", sentence=sentence)),)
 
 
 def on_all_feet(legs: Legs, samples: Samples) -> Samples:
@@ -244,26 +223,25 @@ def _interior(stretch: Samples) -> BoolArray:
     return np.asarray(inside & np.all([runs[end] == runs for end in ends], axis=0))
 
 
-def _compared(turning: FloatArray, moved: FloatArray) -> _Turning:
-    """Compare the angular velocity from the legs ``(N, 3)`` with the gyroscope's at each shift ``(shifts, N, 3)``."""
+def _compared(turning: FloatArray, moved: FloatArray) -> tuple[float, float, float, float]:
+    """Compare the angular velocity from the legs ``(N, 3)`` with the gyroscope's at each shift ``(shifts, N, 3)``.
+
+    Returns:
+        The delay of the gyroscope's stamps [s]; the angle of its rotation against its frame [rad]; and the fraction of
+        the legs' squared angular velocity that it leaves, as it is and corrected.
+    """
     square = float(np.sum(turning**2))
-    turned = [_turned(turning, shifted) for shifted in moved]
+    fits = [best_rotation(turning.T @ shifted) for shifted in moved]
     residuals = np.array(
-        [np.sum((turning - size * shifted @ axes.T) ** 2) for (axes, size), shifted in zip(turned, moved, strict=True)]
+        [
+            np.sum((turning - strength / float(np.sum(shifted**2)) * shifted @ axes.T) ** 2)
+            for (axes, strength), shifted in zip(fits, moved, strict=True)
+        ]
     )
     best = int(np.argmin(residuals))
-    axes, _ = turned[best]
     late = float(_SHIFTS[best])
     if 0 < best < len(residuals) - 1:
         before, middle, after = residuals[best - 1 : best + 2]
         late += STEP * 0.5 * (before - after) / (before - 2.0 * middle + after)
-    angle = float(np.arccos(np.clip(0.5 * (np.trace(axes) - 1.0), -1.0, 1.0)))
     as_it_is = float(np.sum((turning - moved[len(moved) // 2]) ** 2))
-    return _Turning(1e-9 * late, angle, as_it_is / square, float(residuals[best]) / square)
-
-
-def _turned(turning: FloatArray, measured: FloatArray) -> tuple[FloatArray, float]:
-    """Rotation ``(3, 3)`` and factor from ``measured`` to ``turning`` (Kabsch 1976; Umeyama 1991)."""
-    left, sizes, right = np.linalg.svd(turning.T @ measured)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    return np.asarray(left * signs @ right), float(sizes @ signs / np.sum(measured**2))
+    return 1e-9 * late, rotation_angle(fits[best][0]), as_it_is / square, float(residuals[best]) / square

@@ -25,6 +25,7 @@ from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.controller import PDController
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
+from geomid_ros.signals.moving_base import in_order
 from geomid_ros.types import FloatArray
 
 
@@ -121,11 +122,11 @@ class RecordingCheck:
 
     def add(self, samples: Samples) -> None:
         """Add samples, in the order of time of each recording."""
-        needed = samples.with_columns([SIGN, SMOOTH_SIGN])
-        self._instants.add(needed)
-        self._stretch.add(needed)
-        if self._task.model.legs is not None:
-            self._standing.add(on_all_feet(self._task.model.legs, needed))
+        for part in in_order(samples.with_columns([SIGN, SMOOTH_SIGN])):
+            self._instants.add(part)
+            self._stretch.add(part)
+            if self._task.model.legs is not None:
+                self._standing.add(on_all_feet(self._task.model.legs, part))
 
     def begin_recording(self) -> None:
         """Begin another recording, which has to show the same."""

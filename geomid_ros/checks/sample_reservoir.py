@@ -55,21 +55,14 @@ class SampleReservoir:
 
     def add(self, samples: Samples) -> None:
         """Add samples, in the order of time; where the clock is set back another recording begins."""
-        stamps = samples.stamps
-        if self._awaits_next and len(stamps):
-            self._follow(samples.select(np.array([0])))
-        index = 0
-        while index < len(stamps):
-            if self._last is not None and stamps[index] < self._last:
-                self.begin_recording()
-            elif self._last is not None:
-                index += int(np.searchsorted(stamps[index:], self._last + self._apart))
-                if index == len(stamps):
-                    return
-            self._keep(samples.select(np.array([index])))  # a copy: a view would keep all of the samples
-            index += 1
-            if self._awaits_next and index < len(stamps):
+        for index, stamp in enumerate(samples.stamps.tolist()):
+            if self._awaits_next:
                 self._follow(samples.select(np.array([index])))
+            if self._last is not None and stamp < self._last:
+                self.begin_recording()
+            elif self._last is not None and stamp < self._last + self._apart:
+                continue
+            self._keep(samples.select(np.array([index])))  # a copy: a view would keep all of the samples
 
     def _keep(self, instant: Samples) -> None:
         self._last = int(instant.stamps[0])

@@ -47,7 +47,8 @@ TIMES = (0.5, 2.0, 1e-3, 1e3)
 
 def _names(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for swapped names: positions and efforts of one joint are those of another."""
-    for pairs in exchanges(subject.names):
+    single, sides = exchanges(subject.names)
+    for pairs in [*([pair] for pair in single), *([sides] if sides else [])]:
         sources = np.arange(len(subject.joints))
         for first, second in pairs:
             sources[[first, second]] = second, first
@@ -73,28 +74,20 @@ def positions(subject: EffortData) -> Iterator[FaultCandidate]:
     allowed = np.where(turning, np.minimum(np.maximum(-low, high), 2.0 * np.pi), np.maximum(-low, high))
     for unit, size in UNITS["N m"].items() if np.any(turning) else ():
         if size > 1.0 or np.any((largest > allowed)[turning]):
-            yield _in_unit(subject, np.where(turning, size, 1.0), unit, "joint positions are")
+            yield _in_unit(subject.names, np.where(turning, size, 1.0), unit, "joint positions are")
     for joint, kind in enumerate(robot.joints) if len(turning) > 1 else ():
         for unit, size in UNITS[kind.unit].items():
             if size > 1.0 or largest[joint] > allowed[joint]:
                 scales = np.ones(len(turning))
                 scales[joint] = size
-                text = f"the positions of joint '{robot.joint_names[joint]}' are"
+                name = robot.joint_names[joint]
                 beyond = largest[joint] > MASS_FACTOR * allowed[joint] and np.sum(largest > MASS_FACTOR * allowed) == 1
-                yield _in_unit(subject, scales, unit, text, joint, settled=bool(beyond))
+                yield _in_unit([name], scales, unit, f"the positions of joint '{name}' are", settled=bool(beyond))
 
 
 def _in_unit(
-    subject: EffortData,
-    scales: FloatArray,
-    unit: str,
-    positions_text: str,
-    joint: int | None = None,
-    *,
-    settled: bool = False,
+    names: Sequence[str], scales: FloatArray, unit: str, positions_text: str, *, settled: bool = False
 ) -> FaultCandidate:
-    robot = subject.robot
-    names = subject.names if joint is None else [robot.joint_names[joint]]
     right = "m and m/s" if unit in UNITS["N"] else "rad and rad/s"
     cause = Cause.of("position", names, positions=positions_text, unit=unit, right=right)
     return _of_motion(lambda samples: _moved(samples, np.diag(scales)), cause, settled=settled)

@@ -170,12 +170,11 @@ def _residual_rms(
     residuals = np.concatenate([(measured[:, :, None] - predicted)[:, efforts] for measured, predicted in pairs])
     velocity, effort = (np.concatenate([getattr(batch, name) for batch in batches]) for name in ("velocity", "effort"))
     residuals = np.where(moving(velocity)[:, :, None], residuals, np.nan)
-    errors = np.stack([rms(of_one) for of_one in np.moveaxis(residuals, 2, 0)], axis=1)
-    return errors, deviations(np.where(np.isfinite(residuals[:, :, 0]), effort, np.nan))
+    return rms(residuals), deviations(np.where(np.isfinite(residuals[:, :, 0]), effort, np.nan))
 
 
 def rms(residuals: FloatArray) -> FloatArray:
-    """RMS ``(C,)`` of residuals ``(N, C)`` where they are known, zero where too few are."""
+    """RMS ``(C, ...)`` of residuals ``(N, C, ...)`` where they are known, zero where too few are."""
     finite = np.isfinite(residuals)
     squares, counts = np.sum(np.where(finite, residuals, 0.0) ** 2, axis=0), np.count_nonzero(finite, axis=0)
     return np.asarray(np.where(counts < FEWEST, 0.0, np.sqrt(squares / np.maximum(counts, 1))))

@@ -145,16 +145,16 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
 
     Args:
         model: of the robot.
-        batches: samples to evaluate on.
+        batches: samples to evaluate on, at least one.
         parameters: the identified ones.
     """
-    if not batches:
-        return []
     both = np.column_stack([parameters, model.nominal_parameters])
     pairs = [model.predict(samples, both) for samples in batches]
     errors = np.concatenate([(predicted - measured[:, :, None]) ** 2 for measured, predicted in pairs])
-    means = np.array([_mean(block) for block in np.array_split(errors, BLOCKS) if len(block)])
-    return _worse(model, *np.moveaxis(means, 2, 0))
+    blocks = [block for block in np.array_split(errors, BLOCKS) if len(block)]
+    with np.errstate(invalid="ignore"):  # NaN where nothing was measured
+        means = [np.nansum(block, axis=0) / np.count_nonzero(np.isfinite(block), axis=0) for block in blocks]
+    return _worse(model, *np.moveaxis(np.array(means), 2, 0))
 
 
 def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
@@ -173,9 +173,3 @@ def _worse(model: MeasurementModel, errors: FloatArray, nominal: FloatArray) -> 
         if np.mean(rise) > STDS_OF_95 * np.std(rise, ddof=1) / np.sqrt(len(rise)):
             worse.append(channel.name)
     return worse
-
-
-def _mean(values: FloatArray) -> FloatArray:
-    """Mean of ``values (N, ...)``; NaN where nothing was measured."""
-    counts = np.count_nonzero(np.isfinite(values), axis=0)
-    return np.asarray(np.divide(np.nansum(values, axis=0), counts, out=np.full(counts.shape, np.nan), where=counts > 0))

@@ -15,7 +15,8 @@ import numpy as np
 
 from geomid_ros.checks.candidates import MASS_FACTOR, PROBABLE, TILT, probabilities
 from geomid_ros.checks.causes import Cause, RecordingFault, format_settings
-from geomid_ros.checks.evidence import FRICTION, LARGEST_RESIDUAL, Unknowns, evidence, prior_factor
+from geomid_ros.checks.evidence import FRICTION, LARGEST_RESIDUAL, LEAST_CORRELATION, Unknowns, evidence, prior_factor
+from geomid_ros.checks.rotations import best_rotation, rotation_angle
 from geomid_ros.checks.sample_reservoir import FEWEST, STEP
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.measurement_model import MeasurementModel, Rows
@@ -107,8 +108,8 @@ class WrenchSensorCheck:
         halves = self._wrench.reshape(-1, 2, 3)
         forces = [w[:, :3] - np.mean(w[:, :3], axis=0) for w in (self._regressor @ self._prior, self._wrench)]
         for sign in (1.0, -1.0):
-            rotation = _rotation(sign * forces[0].T @ forces[1])[0]
-            if _angle(rotation) > TILT:  # less may be a wrong zero of a joint
+            rotation = best_rotation(sign * forces[0].T @ forces[1])[0]
+            if rotation_angle(rotation) > TILT:  # less may be a wrong zero of a joint
                 flaw = f"its axes are rotated: {_described(rotation, self._sensor.frame)}; set the right frame"
                 yield (halves @ rotation.T).reshape(-1, 6), self._cause(flaw)
         in_sensor = np.einsum("nji,nkj->nki", self._rotations, halves).reshape(-1, 6)
@@ -180,23 +181,11 @@ def _correlation(a: FloatArray, b: FloatArray) -> float:
     return float(np.sum(a * b) / np.sqrt(max(float(np.sum(a * a) * np.sum(b * b)), _FLOOR)))
 
 
-def _rotation(products: FloatArray) -> tuple[FloatArray, float]:
-    """Rotation ``(3, 3)`` of the second vectors that makes them most like the first, from their summed products ``(3,
-    3)``, and the sum of scalar products then (orthogonal Procrustes problem; Kabsch 1976)."""
-    left, strengths, right = np.linalg.svd(products)
-    handed = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    return np.asarray(left * handed @ right), float(strengths @ handed)
-
-
-def _angle(rotation: FloatArray) -> float:
-    return float(np.arccos(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)))
-
-
 def _described(rotation: FloatArray, frame: str) -> str:
     """Describe a rotation by about right angles by the names of axes, any other by its angle."""
     turns = np.round(rotation)
     if np.array_equal(turns, np.eye(3)) or np.any(np.sum(np.abs(turns), axis=1) != 1.0):
-        return f"against those of '{frame}' by about {np.degrees(_angle(rotation)):.0f} degrees"
+        return f"against those of '{frame}' by about {np.degrees(rotation_angle(rotation)):.0f} degrees"
     named = ", ".join(("-" if min(row) < 0.0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in turns)
     return f"x, y, z of '{frame}' are its {named}"
 
@@ -254,13 +243,13 @@ def _problem(products: FloatArray) -> str:
     measured, expected = np.trace(products[:3, :3]), np.trace(products[3:, 3:])
     if not measured > 0.0 or not expected > 0.0:
         return ""
-    scale, follows = float(np.sqrt(measured * expected)), np.sqrt(1.0 - LARGEST_RESIDUAL**2)
+    scale = float(np.sqrt(measured * expected))
     agreement = float(np.trace(products[:3, 3:])) / scale
-    if agreement < -follows:
+    if agreement < -LEAST_CORRELATION:
         return "the forces are opposite to those expected from the URDF: check the sign"
-    if agreement < LARGEST_RESIDUAL and _rotation(products[3:, :3])[1] > follows * scale:
+    if agreement < LARGEST_RESIDUAL and best_rotation(products[3:, :3])[1] > LEAST_CORRELATION * scale:
         return "the forces are rotated against those expected from the URDF: check the frame"
     ratio = float(np.sqrt(measured / expected))
-    if agreement > follows and _is_other_unit(ratio):
+    if agreement > LEAST_CORRELATION and _is_other_unit(ratio):
         return f"the forces are {ratio:.2g} times those expected from the URDF: check the unit"
     return ""

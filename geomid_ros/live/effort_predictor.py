@@ -19,6 +19,7 @@ from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.message_batch import NO_STAMP
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.pipeline import ignore
+from geomid_ros.signals.settings import SAMPLES_PER_CUTOFF_PERIOD
 from geomid_ros.types import FloatArray, IntArray
 
 _PART = "messages with only some joints (merge_joint_states) do not determine efforts"
@@ -162,6 +163,6 @@ class _Model:
             turning=turning,
             reader=JointReader(robot.joint_names, gains, turning, settings.max_gap_ns, ignore),
             merges=session.configuration["merge_joint_states"],
-            time_constant=1.0 / (np.pi * settings.samples_per_cutoff_period * settings.cutoff),
+            time_constant=1.0 / (np.pi * SAMPLES_PER_CUTOFF_PERIOD * settings.cutoff),
             memory=settings.max_gap_ns,
         )

@@ -148,8 +148,8 @@ class Solver:
             return self._failures.copy()
 
     def _new_detector(self) -> ChangeDetector:
-        """Return a detector that sees the first instance of each effect only. All instances together would fit the
-        change, and take long to learn."""
+        """Return a detector that sees one instance of each effect only, of candidates that of the middle of their grid.
+        All instances together would fit the change, and take long to learn."""
         model = self._session.model
         columns = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
         channels = [replace(c, columns=np.intersect1d(c.columns, columns)) for c in model.channels]

@@ -25,7 +25,7 @@ from geomid_ros.model.channels import (
     ChannelLayout,
     WrenchSensor,
 )
-from geomid_ros.model.coefficients import EffectPlaces, Mechanism
+from geomid_ros.model.coefficients import Coefficient, EffectPlaces, Mechanism
 from geomid_ros.model.columns import Column, Entries, affected_joints, column_of, entries_of
 from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, SensorEffect, joint_of
@@ -220,9 +220,15 @@ class MeasurementModel:
 
     @cached_property
     def usual_shapes(self) -> dict[Mechanism, int]:
-        """Index among the D parameters of each mechanism; of several instances of an effect, that of the first: the
-        default if it acts everywhere, else the first of its grid."""
-        return {c.mechanism: parameter for parameter, c in reversed(self._numbered)}
+        """Index among the D parameters of each mechanism. Of several instances of an effect it is that of the one that
+        acts everywhere, the first; if all are candidates, that of the middle of their grid, which is nearest to all."""
+        instances: dict[Mechanism, list[tuple[int, Coefficient]]] = {}
+        for parameter, coefficient in self._numbered:
+            instances.setdefault(coefficient.mechanism, []).append((parameter, coefficient))
+        return {
+            mechanism: several[(len(several) - 1) // 2 if several[0][1].optional else 0][0]
+            for mechanism, several in instances.items()
+        }
 
     @property
     def described_coefficients(self) -> FloatArray:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -46,6 +46,10 @@ _MOST_BLOCKS = 60  # blocks of a stretch, about a minute
 _RISE = 2.25  # times the noise floor: the gap that the test detects; times the mean leverage: another motion
 _FEWEST_BAD = 3  # least number of blocks that open or close a gap: a push or a bump is none
 _LEAST = 1e-4  # of a target's or a column's RMS; below, rounding and the filter's ripple dominate
+
+
+_Sample: TypeAlias = tuple[int, int, FloatArray, FloatArray]
+"""Index of a sample, its stamp [ns], and its rows: coefficients ``(C, D)`` and targets ``(C,)``."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +89,8 @@ class ChangeDetector:
         self._channels = [_Cusum(channel, forgetting_time) for channel in channels]
         bytes_per_sample = 8 * len(channels) * max((int(np.max(c.columns, initial=0)) + 2 for c in channels), default=1)
         most = max(BLOCK, MOST_WAITING_BYTES // bytes_per_sample)
-        self._waiting: deque[tuple[int, int, FloatArray, FloatArray]] = deque(maxlen=most)
-        self._parts: list[_Block] = []  # of the next block, as payloads are searched for more often
+        self._waiting: deque[_Sample] = deque(maxlen=most)
+        self._block: list[_Sample] = []  # beginning of the next block, as payloads are searched for more often
         self._disturbed = False  # True if a payload was picked up or put down in it
         self.gaps: tuple[ChannelGap, ...] = ()
         """Monitored channels as of the last block."""
@@ -110,33 +114,27 @@ class ChangeDetector:
     def test(self) -> bool:
         """Test rows up to the end of the next block. Return True if there were enough of them."""
         while len(self._waiting) >= PART:
-            self._parts.append(self._next())
-            self._judge_payload(self._parts[-1])
-            self.searched_until = self._parts[-1].first + PART
-            if len(self._parts) * PART == BLOCK:
-                self._judge_channels()
+            self._block += [self._waiting.popleft() for _ in range(PART)]
+            self._judge_payload(*_stacked(self._block[-PART:]))
+            self.searched_until = self._block[-PART][0] + PART
+            if len(self._block) >= BLOCK:
+                block, self._block = self._block, []
+                self._judge_channels(*_stacked(block))
                 return True
         return False
 
-    def _next(self) -> _Block:
-        part = (self._waiting.popleft() for _ in range(PART))
-        indices, stamps, coefficients, targets = zip(*part, strict=True)
-        return _Block(indices[0], np.array(stamps), Rows(np.array(coefficients), np.array(targets)))
-
-    def _judge_payload(self, part: _Block) -> None:
+    def _judge_payload(self, first: int, stamps: IntArray, rows: Rows) -> None:
         if self.payload is None:
             return
-        retained = float(np.exp(-1e-9 * float(part.stamps[-1] - part.stamps[0]) / self._forgetting_time))
+        retained = float(np.exp(-1e-9 * float(stamps[-1] - stamps[0]) / self._forgetting_time))
         noise = [channel.noise for channel in self._channels]
-        if self.payload.update(*part, noise, retained):
+        if self.payload.update(first, stamps, rows, noise, retained):
             self._disturbed = True
-            began = part.first if self.payload.payload is None else self.payload.payload.first_sample
+            began = first if self.payload.payload is None else self.payload.payload.first_sample
             for channel in self._channels:
                 channel.clear_suspicion(began - LATE)
 
-    def _judge_channels(self) -> None:
-        first, stamps, rows = _Block.joined(self._parts)
-        self._parts.clear()
+    def _judge_channels(self, first: int, stamps: IntArray, rows: Rows) -> None:
         disturbed, self._disturbed = self._disturbed, False
         if not disturbed and (self.payload is None or self.payload.payload is None):
             for index, channel in enumerate(self._channels):
@@ -157,24 +155,15 @@ class ChangeDetector:
         the index is never further back than that.
         """
         suspect = [self._channels[index].first_suspect for index in channels]
-        judged = self._parts[0].first if self._parts else self.searched_until
+        judged = self._block[0][0] if self._block else self.searched_until
         begin = min([judged, *(first for first in suspect if first is not None)])
         return max(begin - LATE, judged - REMEMBERED * BLOCK)
 
 
-class _Block(NamedTuple):
-    """Rows, their ``stamps``, and the index of the ``first`` sample."""
-
-    first: int
-    stamps: IntArray
-    rows: Rows
-
-    @staticmethod
-    def joined(parts: Sequence[_Block]) -> _Block:
-        """Concatenate the rows of all ``parts``."""
-        columns = zip(*(vars(part.rows).values() for part in parts), strict=True)
-        stamps = np.concatenate([part.stamps for part in parts])
-        return _Block(parts[0].first, stamps, Rows(*map(np.concatenate, columns)))
+def _stacked(samples: Sequence[_Sample]) -> tuple[int, IntArray, Rows]:
+    """Index of the first of N samples, all stamps ``(N,)`` and all rows."""
+    indices, stamps, coefficients, targets = zip(*samples, strict=True)
+    return indices[0], np.array(stamps), Rows(np.array(coefficients), np.array(targets))
 
 
 class _Normal(NamedTuple):
@@ -265,16 +254,15 @@ class _Cusum:
             self._suspect.clear()
         elif self._evidence == 0.0 or self._moves_otherwise:
             self._evidence = 0.0
-            self._learn(joined)
+            self._learn()
             if self._moves_otherwise and not moved_otherwise:
                 self._energies.clear()
                 self._learned = 0
         if self._open and np.isfinite(self._forgetting_time):
             self._factor = joined
 
-    def _learn(self, with_last: FloatArray) -> None:
-        """Learn from suspect blocks as normal ones. ``with_last`` is the factor after the last block alone."""
-        is_single = len(self._suspect) == 1
+    def _learn(self) -> None:
+        """Learn from suspect blocks as normal ones."""
         while self._suspect:
             energy, rows, is_typical = self._suspect.popleft()
             if is_typical and self._rows >= _FEWEST * len(self._channel.columns):
@@ -282,7 +270,7 @@ class _Cusum:
                 self._learned += 1
                 if self._learned % _MOST_BLOCKS == 0:
                     self._earlier.append(self._recent)
-            self._factor = with_last if is_single else triangular(np.concatenate([self._factor, rows]))
+            self._factor = triangular(np.concatenate([self._factor, rows]))
             self._rows += len(rows)
 
     def _leverage(self, coefficients: FloatArray) -> float:

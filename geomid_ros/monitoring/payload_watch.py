@@ -13,9 +13,11 @@ the payload's columns B among A, determine the payload's likelihood, with ``V = 
 
 from __future__ import annotations
 
+import operator
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -100,10 +102,10 @@ class _Block:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Maximum a posteriori ``point`` of a payload, and the ``gain`` of its log evidence over no payload."""
+    """Maximum a posteriori ``point`` of a payload; ``excess``: its log evidence beyond that of an unknown effect."""
 
     point: Point
-    gain: float
+    excess: float
     covariance: FloatArray
 
 
@@ -196,7 +198,6 @@ class PayloadWatch:
         self._link, self._columns = link, columns
         self._gain = gain
         self._baselines = [_Baseline(channel, columns, links) for channel in channels]
-        self._depends = [len(baseline.body) == SIZE for baseline in self._baselines]
         self._prior = ONE_BODY.point(prior_mean)
         self._precision = 1.0 / prior_std**2
         self._surprise = threshold
@@ -230,7 +231,8 @@ class PayloadWatch:
         self._recent.append((block, None if self.payload is None else self.payload.parameters))
         changed = self._take() if self._loaded is None else self._drop()
         if self._loaded is not None and self.payload is not None and not changed:
-            self._follow(self._loaded + block, self.payload.parameters)
+            loaded = self._loaded + block
+            self._note(loaded, self._fit(loaded, ONE_BODY.point(self.payload.parameters)))
         if len(self._recent) == 2 * REMEMBERED:
             oldest = _sum([self._recent.popleft()[0] for _ in range(REMEMBERED)])
             if self._loaded is None:
@@ -250,10 +252,10 @@ class PayloadWatch:
 
     def _likelihood(self, block: _Block) -> _Likelihood:
         total, vagueness, unknown, joints = np.zeros((SIZE + 1, SIZE + 1)), 0.0, 0.0, self._surprise
-        for baseline, depends, products, rows, blocks, noise in zip(
-            self._baselines, self._depends, block.products, block.rows, block.blocks, self._noise, strict=True
+        for baseline, products, rows, blocks, noise in zip(
+            self._baselines, block.products, block.rows, block.blocks, self._noise, strict=True
         ):
-            if not depends or rows * noise.independent <= 0.0:
+            if len(baseline.body) < SIZE or rows * noise.independent <= 0.0:
                 continue
             weighted, effects_only = (noise.independent / noise.variance * part for part in baseline.reduced(products))
             squares = float(weighted[-1, -1])
@@ -284,9 +286,9 @@ class PayloadWatch:
         ends = [_sum(last[count - 1 :: -1]) for count in (_SOON, REMEMBERED) if len(last) >= count]
         if not any(map(self._may_carry, ends)):
             return False
-        fits = [(fit.gain - data.unknown, tail, fit) for tail in self._tails() for data, fit in [self._fitted(tail)]]
-        excess, tail, fit = max(fits, key=lambda item: item[0])
-        if excess < self._surprise:
+        fits = [(tail, self._fit(tail, self._prior)) for tail in self._tails()]
+        tail, fit = max(fits, key=lambda item: item[1].excess)
+        if fit.excess < self._surprise:
             return False
         self._begin(tail, fit)
         return True
@@ -301,10 +303,6 @@ class PayloadWatch:
         if before[:-1]:  # the last one may depend on the payload
             self._learn(_sum(before[:-1]))
         self._note(_sum([block for block, _ in self._recent]), fit)
-
-    def _follow(self, loaded: _Block, payload: FloatArray) -> None:
-        likelihood = self._likelihood(loaded)
-        self._note(loaded, _fit_payload(likelihood, self._prior, self._precision, ONE_BODY.point(payload)))
 
     def _note(self, loaded: _Block, fit: _Fit) -> None:
         self._loaded = loaded
@@ -327,9 +325,26 @@ class PayloadWatch:
                 break
         return False
 
-    def _fitted(self, block: _Block) -> tuple[_Likelihood, _Fit]:
-        likelihood = self._likelihood(block)
-        return likelihood, _fit_payload(likelihood, self._prior, self._precision, self._prior)
+    def _fit(self, block: _Block, point: Point) -> _Fit:
+        """Fit the most probable payload by Gauss-Newton steps on the manifold from a ``point``, with Laplace's
+        approximation of its evidence."""
+        likelihood, prior, precision = self._likelihood(block), self._prior, self._precision
+        for _ in range(ROUNDS):
+            away, curvature = ONE_BODY.log_and_hessian(point, prior)
+            jacobian = point.links_jacobian[0]
+            hessian = jacobian.T @ likelihood.information @ jacobian
+            slope = jacobian.T @ (likelihood.slope - likelihood.information @ point.parameters) + precision * away
+            step = definite.solve_or_least_squares(hessian + precision * curvature[0], slope)
+            length = float(np.linalg.norm(step))
+            if length < SETTLED:
+                break
+            point = ONE_BODY.exp(point, step * min(1.0, LARGEST_STEP / length))
+        away, curvature = ONE_BODY.log_and_hessian(point, prior)
+        jacobian = point.links_jacobian[0]
+        information = jacobian.T @ likelihood.information @ jacobian + precision * np.eye(SIZE)
+        occam = 0.5 * float(np.linalg.slogdet(information / precision)[1])
+        gain = likelihood.gain(point.parameters) - 0.5 * precision * float(away @ away) - occam
+        return _Fit(point, gain - likelihood.unknown, jacobian @ definite.inverse(information) @ jacobian.T)
 
 
 def _largest_gain(information: FloatArray, slope: FloatArray) -> float:
@@ -339,31 +354,4 @@ def _largest_gain(information: FloatArray, slope: FloatArray) -> float:
 
 def _sum(blocks: Sequence[_Block]) -> _Block:
     """Sum of all blocks, in the order of time."""
-    first, *later = blocks
-    products = tuple(product.copy() for product in first.products)
-    for block in later:
-        for total, addend in zip(products, block.products, strict=True):
-            np.add(total, addend, out=total)
-    rows, counts = (np.sum(c, axis=0) for c in zip(*((block.rows, block.blocks) for block in blocks), strict=True))
-    return replace(first, products=products, rows=rows, blocks=counts)
-
-
-def _fit_payload(likelihood: _Likelihood, prior: Point, precision: float, point: Point) -> _Fit:
-    """Fit the most probable payload by Gauss-Newton steps on the manifold from a ``point``, with Laplace's
-    approximation of its evidence."""
-    for _ in range(ROUNDS):
-        away, curvature = ONE_BODY.log_and_hessian(point, prior)
-        jacobian = point.links_jacobian[0]
-        hessian = jacobian.T @ likelihood.information @ jacobian
-        slope = jacobian.T @ (likelihood.slope - likelihood.information @ point.parameters) + precision * away
-        step = definite.solve_or_least_squares(hessian + precision * curvature[0], slope)
-        length = float(np.linalg.norm(step))
-        if length < SETTLED:
-            break
-        point = ONE_BODY.exp(point, step * min(1.0, LARGEST_STEP / length))
-    away, curvature = ONE_BODY.log_and_hessian(point, prior)
-    jacobian = point.links_jacobian[0]
-    information = jacobian.T @ likelihood.information @ jacobian + precision * np.eye(SIZE)
-    occam = 0.5 * float(np.linalg.slogdet(information / precision)[1])
-    gain = likelihood.gain(point.parameters) - 0.5 * precision * float(away @ away) - occam
-    return _Fit(point, gain, jacobian @ definite.inverse(information) @ jacobian.T)
+    return reduce(operator.add, blocks)

@@ -242,38 +242,24 @@ class VelocityCheck:
     def _scaled(self, sums: FloatArray) -> BoolArray:
         """True for joints whose velocities differ from the derivatives by a factor, from sums ``(4, ...)``."""
         _, given, product, derived = sums
-        off: BoolArray = np.abs(product - derived) > self._OFF * derived
-        if off.any():
-            off &= self._informative(sums) & (product**2 > self._IN_PROPORTION * given * derived)
-        return off
-
-    @property
-    def scaled(self) -> BoolArray:
-        """True for joints whose velocities differ from the derivatives of positions by a factor ``(joints,)``."""
-        return self._scaled(self._sums)
+        off = np.abs(product - derived) > self._OFF * derived
+        in_proportion = product**2 > self._IN_PROPORTION * given * derived
+        return np.asarray(off & in_proportion & self._informative(sums))
 
     def remark(self) -> Reason | None:
         """Return a remark on the messages' velocities, once; None if there is none."""
-        if self._reported or not self.scaled.any():
+        scaled = self._scaled(self._sums)
+        if self._reported or not scaled.any():
             return None
         self._reported = True
-        rate = self.common_rate()
-        return _wrong_clock(rate) if rate else SCALED
-
-    def common_rate(self) -> float:
-        """Return the factor from the derivatives to the messages' velocities, if it is common to all informative joints
-        and not that of a unit; else 0."""
         _, _, product, derived = self._sums
-        scaled = self.scaled
         rates = product[scaled] / derived[scaled]
-        if len(rates) < 2:
-            return 0.0
-        is_common = np.all(np.abs(rates / np.median(rates) - 1.0) < self._OFF)
-        sizes = np.abs(np.log(np.median(rates))) - np.abs(np.log(_UNITS_OF_SPEED))
-        is_unit = np.any(np.abs(sizes) < self._OFF)
-        is_large = abs(np.log(np.median(rates))) > np.log(self._WRONG_CLOCK)
-        is_everywhere = is_large and np.all(scaled | ~self._informative(self._sums))
-        return float(np.median(rates)) if is_everywhere and is_common and not is_unit else 0.0
+        rate = float(np.median(rates))
+        is_common = len(rates) > 1 and np.all(np.abs(rates / rate - 1.0) < self._OFF)
+        is_unit = np.any(np.abs(np.abs(np.log(rate)) - np.abs(np.log(_UNITS_OF_SPEED))) < self._OFF)
+        is_large = abs(np.log(rate)) > np.log(self._WRONG_CLOCK)
+        is_everywhere = np.all(scaled | ~self._informative(self._sums))
+        return _wrong_clock(rate) if is_common and not is_unit and is_large and is_everywhere else SCALED
 
 
 def _moments(given: FloatArray, derived: FloatArray) -> FloatArray:

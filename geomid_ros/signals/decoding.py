@@ -104,29 +104,26 @@ class Decoder:
                 place = int(remaining[0])
                 data, remaining = data[1:], remaining[1:]
                 try:
-                    block, new = _parsed(messages[place], place)
+                    block, layout = _parsed(messages[place], place)
                 except ValueError as error:
                     refuse(place, str(error))
-                else:
-                    blocks.append(block)
-                    layouts.extend(self._remembered(group, new))
+                    continue
+                blocks.append(block)
+                if layout is not None:
+                    self._remember(group, layout)
+                    layouts.append(layout)
             else:
                 layout = layouts.popleft()
                 same = layout.matches(data)
-                if same.all():
-                    return [*blocks, layout.block(data, remaining)]
                 if same.any():
                     blocks.append(layout.block(data[same], remaining[same]))
                     data, remaining = data[~same], remaining[~same]
         return blocks
 
-    def _remembered(self, group: tuple[str, int], layout: _Layout | None) -> list[_Layout]:
-        if layout is None:
-            return []
+    def _remember(self, group: tuple[str, int], layout: _Layout) -> None:
         if sum(map(len, self._layouts.values())) >= MOST_KINDS:  # bounded, as the sender decides how many there are
             self._layouts.clear()
         self._layouts.setdefault(group, []).append(layout)
-        return [layout]
 
 
 def _parsed(raw: Raw, place: int) -> tuple[Block, _Layout | None]:

@@ -103,10 +103,6 @@ class JointGate(Gate):
         suspicious |= (np.abs(steps(numbers[:, 2], self._last[-1, 2])) > self._efforts.least).any(axis=1)
         return suspicious
 
-    def _distance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Distances between positions ``(..., joints)``, modulo whole turns."""
-        return self._size(first - second)
-
     def _size(self, step: FloatArray) -> FloatArray:
         """Sizes of position steps ``(..., joints)``, modulo whole turns."""
         return np.asarray(np.abs(step - self._turn * np.rint(step / tau)))
@@ -171,12 +167,10 @@ class JointGate(Gate):
         """Describe a position that jumps away and back faster than the joint can move; empty if none does."""
         last, reach = self._last[-1], self._elapsed(stamps, length) * self._speed
         away, back, later = numbers[:length], numbers[length], numbers[length + 1]
-        far = np.min(np.minimum(self._distance(away[:, 0], last[0]), self._distance(away[:, 0], back[0])), axis=0)
+        far = np.min(np.minimum(self._size(away[:, 0] - last[0]), self._size(away[:, 0] - back[0])), axis=0)
         jumps = far > reach
-        if not jumps.any():  # of nearly all that are suspicious
-            return ""
-        jumps &= self._distance(back[0], last[0]) < reach
-        jumps &= self._distance(later[0], last[0]) < 2.0 * reach
+        jumps &= self._size(back[0] - last[0]) < reach
+        jumps &= self._size(later[0] - last[0]) < 2.0 * reach
         jumps &= far > CLEAR_RATIO * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
         return (
             f"position of '{self._joints[int(np.argmax(jumps))]}' jumps, and back, faster than it can move"
@@ -187,9 +181,7 @@ class JointGate(Gate):
     def _position_leaps(self, stamps: IntArray, numbers: FloatArray) -> bool:
         """True if a position continues elsewhere, farther than the joint can move."""
         reach = self._elapsed(stamps, 0) * self._speed
-        far = self._distance(numbers[0, 0], self._last[-1, 0])
-        if not (far > reach).any():
-            return False
+        far = self._size(numbers[0, 0] - self._last[-1, 0])
         largest_step = np.maximum(self._largest_step(self._last), self._largest_step(numbers))
         return bool(np.any((far > reach) & (far > CLEAR_RATIO * largest_step)))
 
@@ -198,14 +190,12 @@ class JointGate(Gate):
         last, away, back, later = self._last[-1, 2], numbers[:length, 2], numbers[length, 2], numbers[length + 1, 2]
         height = np.min(np.minimum(np.abs(away - last), np.abs(away - back)), axis=0)
         spikes = height > self._efforts.least
-        if not spikes.any():
-            return ""
         spikes &= np.maximum(np.abs(back - last), np.abs(later - last)) < height / CLEAR_RATIO
         return f"effort of '{self._joints[int(np.argmax(spikes))]}'" if spikes.any() else ""
 
     def _largest_step(self, numbers: FloatArray) -> FloatArray:
         """Largest step between consecutive positions ``(joints,)``: a fast joint may exceed its assumed limit."""
-        moved = self._distance(numbers[1:, 0], numbers[:-1, 0])
+        moved = self._size(numbers[1:, 0] - numbers[:-1, 0])
         return np.asarray(np.max(moved, axis=0, initial=0.0))
 
     def _clock_was_set(self, stamps: IntArray, numbers: FloatArray) -> bool:
@@ -217,15 +207,12 @@ class JointGate(Gate):
             return False
         if np.any((periods < period / CLEAR_RATIO) | (periods > _USUAL_STEP * period)):
             return False
-        before, after = self._without_turns(self._last[-count:, 0], numbers[:, 0])
-        ends = _edge_state(self._stamps[-count:] - self._stamps[-1], before), _edge_state(stamps - stamps[0], after)
-        return _chi_square(*ends, step) > _chi_square(*ends, period) + _MUCH_LESS_LIKELY
-
-    def _without_turns(self, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return both position sequences relative to the last of ``before``, without whole turns."""
-        relative = np.concatenate([before, after]) - before[-1]
-        unwrapped = relative - self._turn * np.round(relative / tau)
-        return unwrapped[: len(before)], unwrapped[len(before) :]
+        before = self._last[-count:, 0]
+        relative = np.concatenate([before, numbers[:, 0]]) - before[-1]
+        relative -= self._turn * np.round(relative / tau)
+        end = _edge_state(self._stamps[-count:] - self._stamps[-1], relative[:count])
+        start = _edge_state(stamps - stamps[0], relative[count:])
+        return _chi_square(end, start, step) > _chi_square(end, start, period) + _MUCH_LESS_LIKELY
 
 
 def _edge_state(stamps: IntArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -113,14 +113,12 @@ class JointReader:
                 vector[:, kind] = values[:, order]
         vector[:, 2] *= self._gains
         good = plausible(vector)
-        if not good.all():
-            invalid = ~good[:, 1] & ~np.isnan(vector[:, 1])  # drivers without measured velocities send NaN
-            for row in np.flatnonzero(invalid.any(axis=1)):
-                refusals[row] = f"velocity of '{self._joints[int(np.argmax(invalid[row]))]}' not finite"
-            vector[~good] = np.nan
-            for row in np.flatnonzero(~good[:, 0].all(axis=1)):
-                joint = self._joints[int(np.argmin(good[row, 0]))]
-                refusals[row] = f"position of '{joint}' not finite"
+        invalid = ~good[:, 1] & ~np.isnan(vector[:, 1])  # drivers without measured velocities send NaN
+        for row in np.flatnonzero(invalid.any(axis=1)):
+            refusals[row] = f"velocity of '{self._joints[int(np.argmax(invalid[row]))]}' not finite"
+        for row in np.flatnonzero(~good[:, 0].all(axis=1)):
+            refusals[row] = f"position of '{self._joints[int(np.argmin(good[row, 0]))]}' not finite"
+        vector[~good] = np.nan
         return vector, refusals
 
     def read(self, stamps: IntArray, numbers: FloatArray) -> tuple[FloatArray, AnyArray]:
@@ -176,9 +174,6 @@ class JointReader:
         moved = steps(positions, positions[0] if self._raw is None else self._raw)
         self._raw = positions[-1].copy()
         turns = np.rint(moved / tau)
-        if not turns.any():
-            positions += tau * self._turns
-            return
         wraps = self._turning & (turns != 0.0) & (np.abs(moved - tau * turns) < _UNLIKE_A_TURN)
         for joint in np.flatnonzero(wraps.any(axis=0)):
             self._note_once(Reason(f"positions of '{self._joints[joint]}' {UNWRAPPED}", "told"))
@@ -203,13 +198,10 @@ class JointReader:
         """Largest joint speed in each message ``(N,)``. Where it is not measured, it is derived from the steps
         ``moved (N, J)``; where all numbers are ``same`` as before, that of the message before is used."""
         speeds: FloatArray = np.fmax.reduce(np.abs(velocities), axis=1, initial=np.nan)
-        unknown = np.isnan(speeds)
-        if not unknown.any():
-            return speeds
         farthest = np.max(np.abs(moved), axis=1, initial=0.0)
         farthest[:1] = farthest[:1] if self._came else 0.0
         derived = np.where(same, np.nan, farthest / (1e-9 * steps(stamps, self._came)))
-        speeds = np.append(self._speed, np.where(unknown, derived, speeds))
+        speeds = np.append(self._speed, np.where(np.isnan(speeds), derived, speeds))
         latest = np.maximum.accumulate(np.where(np.isnan(speeds), 0, np.arange(len(speeds))))
         return np.asarray(speeds[latest][1:])
 
@@ -222,9 +214,6 @@ class JointReader:
         saturated = self._saturation.saturated(stamps, effort, numbers[:, 1], moving)
         effort[saturated | ~self._measuring(effort)] = np.nan
         measured, refusals = np.isfinite(effort), np.full(len(stamps), None)
-        if measured.all():
-            self._effort_stamps = np.full(len(self._joints), stamps[-1])
-            return refusals
         latest = np.concatenate([self._effort_stamps[None], np.where(measured, stamps[:, None], 0)])
         latest = np.maximum.accumulate(latest)
         self._effort_stamps = latest[-1]

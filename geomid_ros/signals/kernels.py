@@ -110,7 +110,9 @@ def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
     weights = _lagrange(nodes.T, times).T
     noisy = np.sum(weights**2, axis=1) > LARGEST_NOISE_GAIN**2
     if np.any(noisy):
-        weights[noisy] = np.stack(_line(nodes[noisy].T, times[noisy]), axis=1)
+        before, after = nodes[noisy, 1], nodes[noisy, 2]
+        fraction = (times[noisy] - before) / (after - before)
+        weights[noisy] = np.stack([0.0 * fraction, 1.0 - fraction, fraction, 0.0 * fraction], axis=1)
     return weights
 
 
@@ -121,11 +123,6 @@ def _lagrange(nodes: FloatArray, time: FloatArray) -> FloatArray:
     factors = np.ones((4, *nodes.shape))
     np.divide(time - nodes, nodes[:, None] - nodes, out=factors, where=_OTHERS)
     return np.asarray(np.multiply.reduce(factors, axis=1))
-
-
-def _line(nodes: FloatArray, time: FloatArray) -> tuple[FloatArray, ...]:
-    fraction = (time - nodes[1]) / (nodes[2] - nodes[1])
-    return 0.0 * fraction, 1.0 - fraction, fraction, 0.0 * fraction
 
 
 class GridValues:

@@ -117,17 +117,15 @@ class Recent:
     def __call__(self, accepted: AcceptedMessages) -> None:
         """Remember messages."""
         topic, newest = accepted.topic, int(accepted.stamps[-1])
+        oldest = newest - self._nanoseconds
         with self._lock:
             if accepted.stamps[0] <= self._last.get(topic, 0):  # the clock was set back
                 self.clear()
             self._last[topic] = newest
             self._entries.append(accepted)
             self._bytes += _size(accepted)
-            while self._entries and (self._bytes > MOST_WAITING_BYTES or self._is_old(self._entries[0], newest)):
+            while self._entries and (self._bytes > MOST_WAITING_BYTES or self._entries[0].stamps[-1] <= oldest):
                 self._bytes -= _size(self._entries.popleft())
-
-    def _is_old(self, accepted: AcceptedMessages, newest: int) -> bool:
-        return bool(accepted.stamps[-1] <= newest - self._nanoseconds)
 
     def clear(self) -> None:
         """Forget everything."""

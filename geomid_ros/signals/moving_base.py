@@ -115,7 +115,7 @@ class Stance:
 
     def with_stance(self, new: Samples) -> Samples | None:
         """Take samples in the order of time. Return those whose standing feet are known."""
-        parts = [ready for part in _in_order(new) if (ready := self._take(part)) is not None]
+        parts = [ready for part in in_order(new) if (ready := self._take(part)) is not None]
         return Samples.concatenate(parts) if parts else None
 
     def _take(self, new: Samples) -> Samples | None:
@@ -143,7 +143,7 @@ def _within(stamps: IntArray, true: BoolArray, span: int) -> BoolArray:
     return np.asarray(count[last] > count[first])
 
 
-def _in_order(samples: Samples) -> list[Samples]:
+def in_order(samples: Samples) -> list[Samples]:
     """Split samples where the clock was set back."""
     ends = np.flatnonzero(np.diff(samples.stamps) <= 0) + 1
     bounds = [0, *ends.tolist(), len(samples)]

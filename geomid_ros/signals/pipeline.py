@@ -32,7 +32,6 @@ from geomid_ros.signals.message_batch import (
     commands,
     imu_readings,
     poses,
-    without_refusal,
     wrenches,
 )
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages, Block, Message
@@ -207,7 +206,7 @@ class SignalPipeline:
             if block.topic == JOINT_STATES and len(self.received_joints) < MOST_WAITING:
                 self.received_joints.update(block.names)
             try:
-                source = block.topic, self._part(block)
+                source = block.topic, self._parts.part(block.names) if block.topic == JOINT_STATES else ()
             except RejectedError as error:
                 self._refused(block.topic, error.reason, len(block.stamps))
                 continue
@@ -218,9 +217,6 @@ class SignalPipeline:
                 MessageBatch(block.order + self._arrived, block.stamps, numbers, refusals)
             )
         return {source: MessageBatch.in_order(arrivals) for source, arrivals in groups.items()}
-
-    def _part(self, block: Block) -> Part:
-        return self._parts.part(block.names) if block.topic == JOINT_STATES else ()
 
     def _numbers(self, source: Source, block: Block) -> tuple[FloatArray, AnyArray]:
         if block.topic == JOINT_STATES:
@@ -238,26 +234,22 @@ class SignalPipeline:
     def _use(self, source: Source, arrived: MessageBatch) -> None:
         """Use the messages that neither their gate nor their reader refuses."""
         topic, part = source
-        good, reasons = arrived.is_usable, list[str]()
-        if not good.all():
-            reasons += arrived.refusals[~good].tolist()
-            arrived = arrived.select(good)
-        stamps, values, order = arrived.stamps, arrived.numbers, arrived.order
-        if topic == JOINT_STATES and len(stamps):
-            values, refusals = self._parts.readers[part].read(stamps, values)
-            accepted = without_refusal(refusals)
-            if not accepted.all():
-                reasons += refusals[~accepted].tolist()
-                stamps, values, order = stamps[accepted], values[accepted], order[accepted]
-        for reason, count in Counter(reasons).items():
+        good = arrived.is_usable
+        used, reasons = arrived.select(good), Counter[str](arrived.refusals[~good].tolist())
+        if topic == JOINT_STATES and len(used):
+            read = MessageBatch(used.order, used.stamps, *self._parts.readers[part].read(used.stamps, used.numbers))
+            used = read.select(read.is_usable)
+            reasons.update(read.refusals[~read.is_usable].tolist())
+        for reason, count in reasons.items():
             self._refused(topic, reason, count)
-        if len(stamps):
-            if topic == JOINT_STATES and self._parts.merges:
-                self._joined += zip(order.tolist(), repeat(part), stamps.tolist(), values)
-            else:
-                self._accept(AcceptedMessages(topic, stamps, values))
-            self.ledger.accept(topic, len(stamps))
-            self._open[topic] -= len(stamps)
+        if not len(used):
+            return
+        if topic == JOINT_STATES and self._parts.merges:
+            self._joined += zip(used.order.tolist(), repeat(part), used.stamps.tolist(), used.numbers)
+        else:
+            self._accept(AcceptedMessages(topic, used.stamps, used.numbers))
+        self.ledger.accept(topic, len(used))
+        self._open[topic] -= len(used)
 
     def _join_parts(self) -> None:
         """Join the messages of several publishers, in their order of arrival."""

@@ -181,7 +181,7 @@ class Sampler:
 
     def _start(self, period: int) -> None:
         try:
-            grid = Grid(period, self._settings.cutoff, self._settings.samples_per_cutoff_period)
+            grid = Grid(period, self._settings.cutoff)
         except InputError as error:
             raise InputError(f"{error}{self._repeated()}") from error
         self._grid = grid

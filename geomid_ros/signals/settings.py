@@ -20,6 +20,7 @@ SHORTEST_CONTACT = 33e-3  # [s] A collision of 40 ms exceeds a quarter of its pe
 LONGEST_SAME = 0.05  # [s] The effort of a moving joint is rarely constant for longer
 LONGEST_DELAY = 1.0  # [s] of efforts
 ACCELEROMETER_BIAS = 0.03  # [m/s^2] Standard deviation of the bias between starts
+SAMPLES_PER_CUTOFF_PERIOD = 8.0
 CLEAR_RATIO = 4.0  # times as large as usual: a step or change that is clearly larger
 
 # Tolerances of arithmetic.
@@ -55,12 +56,11 @@ class SignalSettings:
     period: float = 0.0
     max_gap: float = 0.5
     effort_gain: float | dict[str, float] = 1.0
-    samples_per_cutoff_period: float = 8.0
     effort_delay: float = 0.0
     merge: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("cutoff", "max_gap", "samples_per_cutoff_period"):
+        for name in ("cutoff", "max_gap"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InputError(f"signal setting {name} is {getattr(self, name)}, expected a number greater than zero")
         if self.period != 0.0 and not PERIOD_ROUNDING * 1e-9 <= self.period < np.inf:

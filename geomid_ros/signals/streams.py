@@ -19,7 +19,7 @@ from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import JointEffect, Motion
 from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
-from geomid_ros.signals.settings import MEAN_STEPS, MEAN_TOLERANCE
+from geomid_ros.signals.settings import MEAN_STEPS, MEAN_TOLERANCE, SAMPLES_PER_CUTOFF_PERIOD
 from geomid_ros.types import FloatArray, IntArray
 
 _SHARPER = 4.0  # cutoff of the motion for effects, in units of the filter's
@@ -29,13 +29,13 @@ class Grid:
     """Common time grid: its ``period`` [ns], the kernels on it with ``half`` of their taps, the ``lag`` of samples and
     the ``stride`` from one sample to the next, both in grid points."""
 
-    def __init__(self, period: int, cutoff: float, samples_per_cutoff_period: float) -> None:
+    def __init__(self, period: int, cutoff: float) -> None:
         self.period = period
         self.kernels = derivative_kernels(cutoff, period * 1e-9)
         self.half = self.kernels.shape[1] // 2
         self.sharp_kernels = derivative_kernels(min(_SHARPER * cutoff, highest_cutoff(period * 1e-9)), period * 1e-9)
         self.lag = self.half + self.sharp_kernels.shape[1] // 2
-        self.stride = max(1, int(1e9 / (samples_per_cutoff_period * cutoff * period)))
+        self.stride = max(1, int(1e9 / (SAMPLES_PER_CUTOFF_PERIOD * cutoff * period)))
 
 
 class Segment(ABC):
@@ -79,7 +79,7 @@ class Stream(Generic[S]):
     def push(self, stamps: IntArray, values: FloatArray) -> None:
         """Take the values ``(N, values)`` of messages with increasing ``stamps (N,)`` [ns], later than before."""
         late = steps(stamps, stamps[0] if self._last is None else self._last) > self._max_gap
-        pauses = np.flatnonzero(late).tolist() if late.any() else []
+        pauses = np.flatnonzero(late).tolist()
         for begin, end in pairwise(sorted({0, *pauses, len(stamps)})):
             if begin in pauses:
                 self._segments.append(self._new_segment())

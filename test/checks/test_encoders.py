@@ -102,9 +102,9 @@ def test_a_robot_that_stands_still_in_one_half_is_judged_by_what_moves() -> None
     )
     recorded = Samples.concatenate([still, own])
     subject = EffortData.of_all(seven.model.robot, recorded)
-    halves = [np.count_nonzero(part.is_moving) for part in subject.split()]
+    halves = [np.count_nonzero(part.is_moving) for part in subject.halves]
     assert halves[0] == pytest.approx(halves[1], abs=1.0)
-    assert len(subject.split()[0].samples) > 2 * len(own)
+    assert len(subject.halves[0].samples) > 2 * len(own)
     assert findings(seven.model, recorded) == ()
 
 

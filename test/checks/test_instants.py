@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from estimation.arms import motion, samples
 
+from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
 from geomid_ros.checks.sample_reservoir import STEP, RecentMotion, SampleReservoir
 from geomid_ros.model.samples import Samples
 
@@ -39,12 +43,15 @@ def test_they_are_bounded_apart_and_spread_over_all(seconds: float) -> None:
     assert recorded.stamps[-1] - found.stamps[-1] <= np.max(steps)
 
 
-def test_another_recording_with_earlier_stamps_is_taken_too() -> None:
+@pytest.mark.parametrize("at_once", [False, True])
+def test_another_recording_with_earlier_stamps_is_taken_too(at_once: bool) -> None:
     instants, recorded = SampleReservoir(), recording(3.0)
-    instants.add(recorded)
-    before = len(instants)
-    instants.add(recorded)
-    assert len(instants) == 2 * before
+    alone = len(kept(recorded, 17))
+    for batch in [Samples.concatenate([recorded, recorded])] if at_once else [recorded, recorded]:
+        instants.add(batch)
+    assert len(instants) == 2 * alone
+    assert instants.kept is not None
+    assert np.bincount(instants.kept.recordings).tolist() == [alone, alone]
 
 
 def test_a_stretch_has_the_last_instants_in_motion() -> None:
@@ -60,3 +67,20 @@ def test_a_stretch_has_the_last_instants_in_motion() -> None:
     assert 750 <= len(found) < 800
     assert np.all(np.diff(found.stamps // STEP) > 0)
     assert later.stamps[-1] - found.stamps[-1] < STEP
+
+
+def test_nothing_is_compared_across_a_clock_that_was_set_back() -> None:
+    """In the middle of what comes at once, as from a bag: of the motion the samples after that are kept."""
+    seen: list[Excerpt] = []
+
+    def judge(_: CheckTask, excerpt: Excerpt) -> CheckResult:
+        seen.append(excerpt)
+        return CheckResult()
+
+    model: Any = SimpleNamespace(legs=None)
+    recorded, check = recording(4.0), RecordingCheck(CheckTask(model, np.ones(2), {}), judge)
+    check.add(Samples.concatenate([recorded, recorded]))
+    check.findings()
+    found = seen[0].recent_motion
+    assert found is not None
+    assert np.all(np.diff(found.stamps // STEP) > 0)

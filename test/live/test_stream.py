@@ -18,6 +18,7 @@ from geomid_ros.model.samples import samples_of
 from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
+from geomid_ros.signals.settings import SAMPLES_PER_CUTOFF_PERIOD
 from geomid_ros.types import FloatArray
 
 JOINTS = ("joint1", "joint2", "joint3")
@@ -184,7 +185,7 @@ def test_each_message_follows_the_one_before_however_many_come_at_once(
         found += [predicted.motion for predicted in stream.predict(data[begin:end])]
         begin = end
     settings = session.signals
-    time_constant = 1.0 / (np.pi * settings.samples_per_cutoff_period * settings.cutoff)
+    time_constant = 1.0 / (np.pi * SAMPLES_PER_CUTOFF_PERIOD * settings.cutoff)
     expected = one_by_one(sent, settings.max_gap_ns, time_constant, 1)
     assert 0.3e9 < settings.max_gap_ns < 3e9
     scale = np.max(np.abs(expected), axis=(1, 2), keepdims=True)

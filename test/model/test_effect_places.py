@@ -21,8 +21,10 @@ from geomid_ros.model.effects.drive import (
     JointElasticity,
     Spring,
 )
+from geomid_ros.model.effects.effect import JointEffect
 from geomid_ros.model.effects.friction import CoulombFriction, LoadFriction, StribeckFriction
 from geomid_ros.model.effects.sensor_errors import EffortGain
+from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -200,3 +202,20 @@ def test_sizes_that_no_robot_has_are_absurd(effect: Effect, possible: list[float
     the effort, an excess of four times the level, a spring that rests two turns away."""
     assert not effect.is_out_of_range(np.array(possible))
     assert effect.is_out_of_range(np.array(absurd))
+
+
+def usual_effect(name: str, effects: list[Effect], candidates: list[Effect]) -> Effect:
+    model = MeasurementModel(Robot(urdf("ur5_robot.urdf")), effects, candidates=candidates)  # type: ignore[arg-type]
+    return model.coefficients[model.usual_shapes[name, AtJoint(2), 0] - len(model.nominal_inertias)].effect
+
+
+@pytest.mark.parametrize("cls", [CoulombFriction, StribeckFriction])
+def test_the_usual_shape_of_a_candidate_is_near_to_all_of_its_grid(cls: type[JointEffect]) -> None:
+    """Changes are searched with it, whatever the shape is. An effect that acts everywhere has its own."""
+    speed = np.linspace(-0.5, 0.5, 101)
+    motion = JointMotion(np.array([0.0 * speed, speed, 0.0 * speed]))
+    grid = [*cls.coarse_grid()]
+    columns = np.array([effect.column(motion) for effect in grid if isinstance(effect, JointEffect)])
+    farthest = np.max(np.linalg.norm(columns[:, None] - columns, axis=2), axis=1)
+    assert farthest[grid.index(usual_effect(cls.name, [], grid))] < farthest[0]
+    assert usual_effect(cls.name, [grid[-1]], grid[:-1]) == grid[-1]

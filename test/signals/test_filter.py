@@ -146,7 +146,6 @@ def test_bursts_do_not_amplify_noise(gap: float) -> None:
         {"period": -0.01},
         {"period": 1e-9},
         {"period": float("nan")},
-        {"samples_per_cutoff_period": 0.0},
         {"effort_gain": 0.0},
         {"effort_gain": float("inf")},
         {"effort_gain": {"joint": float("nan")}},

@@ -14,7 +14,7 @@ from geomid_ros.types import FloatArray
 
 PERIOD = 10_000_000  # [ns]
 CUTOFF = 10.0
-GRID = Grid(PERIOD, CUTOFF, 8.0)
+GRID = Grid(PERIOD, CUTOFF)
 START = 1000 * PERIOD
 UNIT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
@@ -47,8 +47,8 @@ def test_the_grid() -> None:
     sharp = GRID.sharp_kernels.shape[1] // 2
     assert GRID.lag == GRID.half + sharp
     assert sharp == round(2.0 / (0.01 * 40.0)) + 3, "four times the cutoff"
-    assert Grid(PERIOD, 30.0, 8.0).sharp_kernels.shape[1] // 2 == sharp, "but no more than 0.4 of the rate"
-    assert [Grid(PERIOD, cutoff, 8.0).stride for cutoff in (0.5, 1.0, 10.0, 20.0)] == [25, 12, 1, 1]
+    assert Grid(PERIOD, 30.0).sharp_kernels.shape[1] // 2 == sharp, "but no more than 0.4 of the rate"
+    assert [Grid(PERIOD, cutoff).stride for cutoff in (0.5, 1.0, 10.0, 20.0)] == [25, 12, 1, 1]
 
 
 @pytest.mark.parametrize("offset", [0, 1, 3_000_000, PERIOD - 1])
