@@ -19,6 +19,7 @@ from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.options import Progress
 from geomid_ros.types import BoolArray, FloatArray
 
 _ROUNDS = 6
@@ -43,6 +44,10 @@ class Analysis:
     floor: FloatArray
     contested: float = 0.0
 
+    def usual_load(self, candidate: Candidate) -> float:
+        """Std of the rigid-body load [N m or N] that scales the grid constant of a candidate; 0 without one."""
+        return self.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
+
     @property
     def likely(self) -> EffectsFit:
         """Fit with only the likely named effects."""
@@ -60,7 +65,7 @@ class _Task:
     links: Sequence[int]
     inner: Collection[int]
     known_remainder: KnownRemainder | None
-    progress: Callable[[str, float], None]
+    progress: Progress
 
     def linearised(self, total: TotalModel, floor: FloatArray | None = None) -> LinearisedProblem:
         """Return the problem linearised at a total model."""
@@ -71,7 +76,7 @@ def analyse(
     model: MeasurementModel,
     records: Records,
     prior: EffectsPrior,
-    progress: Callable[[str, float], None],
+    progress: Progress,
     known_remainder: KnownRemainder | None = None,
 ) -> Analysis:
     """Find the set of named effects that explains the records best, and the changed links given these.

@@ -217,8 +217,7 @@ def _findings_as_written(
         if finding.confidence != "confident":
             yield finding
         elif candidate in joint_fit.chosen:
-            load = analysis.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
-            parameters = sentences.parameters(model, joint_fit, candidate, usual_load=load)
+            parameters = sentences.parameters(model, joint_fit, candidate, usual_load=analysis.usual_load(candidate))
             widened = widened_by_remainder(analysis, candidate, parameters, finding.was)
             sized = {**finding.parameters, **candidate.effect.sizes(widened)}
             listed = analysis.search.prior.identified and finding.moment  # in a URDF the links' are as uncertain

@@ -37,7 +37,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     without = search.without(names, candidate)
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
     joint, link = model.places.name(candidate.place), model.places.link(candidate.place)
-    load = analysis.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
+    load = analysis.usual_load(candidate)
     parameters = sentences.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = sentences.known_before(model, search.prior, candidate, load)
     parameters = widened_by_remainder(analysis, candidate, parameters, was)
