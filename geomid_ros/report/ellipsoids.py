@@ -139,12 +139,14 @@ def view_of(points: FloatArray) -> View:
     return View(np.array([right, np.cross(towards, right), towards]))
 
 
-def bounds(view: View, points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, FloatArray]:
-    """Lower left and upper right corner ``(2,)`` of points ``(K, 3)`` and ellipsoids on the picture [m]."""
-    centres = np.array([view.flat(solid.centre) for solid in solids]).reshape(-1, 2)
-    halves = np.array([view.half_widths(solid) for solid in solids]).reshape(-1, 2)
-    ends = np.vstack([view.flat(points), centres - halves, centres + halves])
-    return ends.min(axis=0), ends.max(axis=0)
+def bounds(rotation: FloatArray, points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest coordinates ``(k,)`` [m] of points ``(K, 3)`` and ellipsoids along the rows of a
+    ``rotation (k, 3)``."""
+    ends = [points @ rotation.T]
+    for solid in solids:
+        half = np.linalg.norm(rotation @ (solid.axes * solid.semi_axes), axis=1)
+        ends.append(rotation @ solid.centre + np.array([-half, half]))
+    return np.vstack(ends).min(axis=0), np.vstack(ends).max(axis=0)
 
 
 def circle() -> FloatArray:
@@ -155,10 +157,7 @@ def circle() -> FloatArray:
 
 def floor_below(points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, float]:
     """Grid below points ``(K, 3)`` and ellipsoids: crossings ``(rows, columns, 3)``, distance of the lines [m]."""
-    halves = np.array([np.linalg.norm(solid.axes * solid.semi_axes, axis=1) for solid in solids]).reshape(-1, 3)
-    centres = np.array([solid.centre for solid in solids]).reshape(-1, 3)
-    ends = np.vstack([points, centres - halves, centres + halves])
-    step = round_step((float(np.max(np.ptp(ends, axis=0))) or 1.0) / 10.0)
-    low, high = np.floor(ends.min(axis=0) / step), np.ceil(ends.max(axis=0) / step)
-    x, y = (step * np.arange(low[k], high[k] + 1.0) for k in range(2))
-    return np.stack(np.broadcast_arrays(x[:, None], y[None, :], ends[:, 2].min()), axis=-1), step
+    low, high = bounds(np.eye(3), points, solids)
+    step = round_step((float(np.max(high - low)) or 1.0) / 10.0)
+    x, y = (step * np.arange(np.floor(low[k] / step), np.ceil(high[k] / step) + 1.0) for k in range(2))
+    return np.stack(np.broadcast_arrays(x[:, None], y[None, :], low[2]), axis=-1), step

@@ -56,7 +56,7 @@ def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
     points = np.vstack([stick_ends(bodies), *(solid.centre for solid in solids)])
     view = view_of(points)
     floor, step = floor_below(points, solids)
-    low, high = bounds(view, np.vstack([points, floor.reshape(-1, 3)]), solids)
+    low, high = bounds(view.rotation[:2], np.vstack([points, floor.reshape(-1, 3)]), solids)
     robot, table, key = _layout(high - low, len(bodies))
     axes, inch = _robot_axes(figure, robot, low, high)
     _draw_floor(axes, view, floor)
