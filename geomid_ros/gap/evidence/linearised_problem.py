@@ -29,8 +29,7 @@ def total_model(model: MeasurementModel, found: EffectsFit) -> TotalModel:
     inertias[list(model.identified)] = found.loaded_inertias
     grouped: dict[tuple[Effect, Place], list[float]] = {}
     for term in found.terms:
-        if isinstance(term, EffectTerm):
-            grouped.setdefault((term.effect, term.place), []).append(found.value(term))
+        grouped.setdefault((term.effect, term.place), []).append(found.value(term))
     effects = tuple((effect, place, effect.linearised_at(np.array(own))) for (effect, place), own in grouped.items())
     return TotalModel(inertias, effects, model.robot.gravity)
 

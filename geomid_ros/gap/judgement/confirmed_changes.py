@@ -30,7 +30,6 @@ from geomid_ros.model.effects import (
     ParameterForm,
     Quantity,
     effect_class,
-    joints_of,
 )
 from geomid_ros.model.effects.effect import LoadEffect
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -127,7 +126,7 @@ class _Refit:
         """Total model without unsure effects: columns linearised at a delay that does not exist are wrong."""
         total = total_model(self.model, self.analysis.effects)
         kept = {*self.analysis.search.prior.terms, *(term for candidate in sure for term in candidate.terms)}
-        places = {(term.effect, term.place) for term in kept if isinstance(term, EffectTerm)}
+        places = {(term.effect, term.place) for term in kept}
         return replace(total, effects=tuple(item for item in total.effects if item[:2] in places))
 
     def _to_drop(self, joint_fit: EffectsFit, ordinary: Collection[Candidate]) -> Candidate | None:
@@ -265,10 +264,10 @@ def folded(problem: LinearisedProblem, found: EffectsFit) -> dict[tuple[str, str
     Linear friction that was found together with quadratic friction is wrong without it. So the file has the
     least-squares fit of its kinds to all friction that was found, over the fitted motion; all else is as found.
     """
-    terms = [term for term in found.terms if isinstance(term, EffectTerm) and _is_of_one_joint(term)]
+    terms = [term for term in found.terms if isinstance(term.effect, MotionEffect | LoadEffect)]
     corrections: dict[tuple[str, str], float] = {}
     for joint, name in enumerate(problem.model.robot.joint_names):
-        of_joint = [term for term in terms if joints_of(term.place) == (joint,)]
+        of_joint = [term for term in terms if term.joints == (joint,)]
         stored, others = [t for t in of_joint if _form(t).urdf], [t for t in of_joint if _is_unrepresentable(t)]
         if stored and others:
             changes = _changes(problem, found, joint, stored, others)
@@ -291,10 +290,6 @@ def _changes(
     least, _ = nnls(stacked[:, : len(stored)], stacked @ values)
     changes: list[float] = (least - values[: len(stored)]).tolist()
     return changes
-
-
-def _is_of_one_joint(term: EffectTerm) -> bool:
-    return isinstance(term.effect, MotionEffect | LoadEffect) and len(joints_of(term.place)) == 1
 
 
 def _form(term: EffectTerm) -> ParameterForm:

@@ -27,7 +27,9 @@ def parameters(
     """Parameters of a candidate with their standard deviations. ``log_std``: that of the logarithm of the grid
     constant. ``usual_load``: standard deviation of the joint's rigid-body load [N m or N]."""
     if candidate.payload is not None:
-        return _of_payload(found, candidate.effect, candidate.payload)
+        body, spread = _payload(found, candidate.payload)
+        stds = np.sqrt(np.maximum(np.diag(spread), 0.0))
+        return quantities(candidate.effect.parameters, zip(body, stds, strict=True))
     values = np.array([found.value(term) for term in candidate.terms])
     places = [found.place(term) for term in candidate.terms]
     covariance = found.covariance[np.ix_(places, places)]
@@ -39,13 +41,8 @@ def known_before(model: MeasurementModel, prior: EffectsPrior, candidate: Candid
     if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
         return {}
     values = np.array([prior.value(term) for term in candidate.terms])
-    quantities_before = _quantities(model, candidate, values, np.diag(np.zeros(len(values))), 0.0, usual_load)
-    return {name: quantity.value for name, quantity in quantities_before.items()}
-
-
-def _of_payload(fit: EffectsFit, effect: Effect, link: int) -> dict[str, Quantity]:
-    values, covariance = _payload(fit, link)
-    return quantities(effect.parameters, zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
+    before = _quantities(model, candidate, values, np.zeros((len(values), len(values))), 0.0, usual_load)
+    return {name: quantity.value for name, quantity in before.items()}
 
 
 def _payload(fit: EffectsFit, link: int) -> tuple[FloatArray, FloatArray]:

@@ -174,26 +174,25 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
     prior = with_given_stds(search.prior, names.inflation)
     free = fit(search.design, prior, names.chosen, names, names.prior_stds).score
     for link, was in enumerate(nominal):
-        change = names.inertias[link] - was
+        change, is_changed_link = names.inertias[link] - was, link == search.prior.changed_link
+        if abs(change[0]) < _LEAST * was[0] and not is_changed_link:
+            continue
+        if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # no link has more mass than the robot, nor has a payload
+            continue
         doubt = relative_std_from_remainder(search.design, names, link, change)
         std = np.hypot(stds[10 * link : 10 * link + 10], doubt * change)
         deviations, moment, centre = (change / std)[:1], {}, {}
-        if abs(change[0]) < _LEAST * was[0] or link == search.prior.changed_link:
-            if link != search.prior.changed_link:
-                continue
-            if abs(deviations[0]) < np.max(np.abs(change / std)[1:4]):
-                deviations, moment = (change / std)[1:4], sentences.moment_of(change[1:4], std[1:4])
+        if is_changed_link and abs(deviations[0]) < np.max(np.abs(change / std)[1:4]):
+            deviations, moment = (change / std)[1:4], sentences.moment_of(change[1:4], std[1:4])
         if search.prior.identified and not moment:
             rows = slice(10 * link, 10 * link + 4)
             centre = _centre(change, covariance[rows, rows])
-        if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # no link has more mass than the robot, nor has a payload
-            continue
         prior_stds = names.prior_stds.copy()
         prior_stds[link] = _HELD * search.prior.prior_std
         loss = fit(search.design, prior, names.chosen, names, prior_stds).score - free
         # The link may have changed without its mass.
         odds_against = np.exp(-0.5 * min(loss, float(np.max(deviations**2)), 1e3)) / ODDS
-        odds_against += analysis.contested if link == search.prior.changed_link else 0.0
+        odds_against += analysis.contested if is_changed_link else 0.0
         probability = float(1.0 / (1.0 + odds_against))
         if probability >= LIKELY:
             body = model.robot.bodies[model.identified[link]]
