@@ -21,7 +21,6 @@ from matplotlib.patches import Polygon
 from PIL import Image
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.ellipsoids import Ellipsoid, View, view_of
 from geomid_ros.session.configuration import Configuration
@@ -68,29 +67,15 @@ def moments(session: Session, train: Samples, held_out: list[Samples]) -> Iterat
         begin = end
 
 
-def ellipsoid(parameters: FloatArray, rotation: FloatArray, origin: FloatArray) -> Ellipsoid:
-    """The uniform body of the same mass and inertia, in the world."""
-    semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(parameters)
-    centre = origin + rotation @ pseudo_inertia.centre_of_mass(parameters)
-    return Ellipsoid(centre, semi_axes, rotation @ axes, float(parameters[0]))
-
-
-def outline(view: View, solid: Ellipsoid) -> FloatArray:
-    """The ellipsoid's outline on the picture ``(N, 2)`` [m]."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 61)
-    turn, stretch, _ = np.linalg.svd(view.sphere_map(solid)[:2])
-    return np.asarray(view.flat(solid.centre) + ((turn * stretch) @ [np.cos(angle), np.sin(angle)]).T)
-
-
 def draw_arm(axes: Axes, session: Session, moment: Moment, view: View) -> None:
     """The arm's bodies: outlines as in the URDF, filled as identified."""
     frames = session.robot.link_frames(moment.pose)
     nominal = session.model.nominal_inertias.reshape(-1, 10)
     for link, before in zip(moment.estimate.links, nominal, strict=True):
         colour = SHARES(link.from_data)
-        found, urdf = (outline(view, ellipsoid(p, *frames[link.name])) for p in (link.parameters, before))
-        axes.add_patch(Polygon(found, fc=colour, ec=[0.6 * c for c in colour[:3]], lw=0.8, alpha=0.85))
-        axes.plot(*urdf.T, color=GREY, lw=0.9)
+        found, urdf = (view.outline(Ellipsoid.of(p, *frames[link.name])) for p in (link.parameters, before))
+        axes.add_patch(Polygon(found.T, fc=colour, ec=[0.6 * c for c in colour[:3]], lw=0.8, alpha=0.85))
+        axes.plot(*urdf, color=GREY, lw=0.9)
     names = [link.name for link in moment.estimate.links]
     chain = view.flat(np.array([np.zeros(3), *(frames[name][1] for name in names)]))
     axes.plot(*chain.T, "-o", color="#3c4043", lw=2.0, ms=3.5, mfc="white", mew=1.0)

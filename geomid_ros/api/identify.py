@@ -231,7 +231,8 @@ class Identification:
         """Draw the bodies before and after, and the channels measured and predicted."""
         from geomid_ros.report.drawing import draw_identification  # noqa: PLC0415 imports matplotlib
 
-        return draw_identification(self.session, self.estimate, self.judged, self._series, self.judged_on)
+        remarks = self.verdict.remarks
+        return draw_identification(self.session, self.estimate, self.judged, self._series, self.judged_on, remarks)
 
     @cached_property
     def _series(self) -> Sequence[Series]:

@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.feasibility import PathClearance, clearances_from, overlap
+from geomid_ros.excitation.feasibility import Course, PathClearance, clearances_from, overlap
 from geomid_ros.excitation.limits import RANDOM_POSTURES
 from geomid_ros.excitation.motion import Trajectory
-from geomid_ros.model.collision import CollisionModel, Pair
+from geomid_ros.model.collision import CollisionModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import UNLIMITED_RANGE
 from geomid_ros.types import FloatArray
@@ -111,15 +111,9 @@ class ApproachPath:
 
     def check(self, motion: Trajectory, source: str) -> None:
         """Refuse a motion on which bodies come too close. Raises InputError naming ``source``."""
-        if self._collision is None:
-            return
-
-        def path(times: FloatArray) -> FloatArray:
-            return self._states(motion.states(times))
-
-        spacing = PathClearance(path, motion.duration, self._collision, self._clearances)
-        if not spacing.verify():
-            raise InputError(f"{source}: {_said(*spacing.worst)}, {spacing.worst[2]:.2f} s after the motion's start")
+        contact, time = self._contact(motion.states, motion.duration)
+        if contact:
+            raise InputError(f"{source}: {contact}, {time:.2f} s after the motion's start")
 
     def find_postures(self, start: FloatArray, goal: FloatArray) -> list[FloatArray]:
         """Find postures to pass from ``start`` to ``goal (joints,)``, which is the last: none or one in between.
@@ -140,8 +134,13 @@ class ApproachPath:
 
     def _obstacle(self, start: FloatArray, goal: FloatArray) -> str:
         """Describe the obstacle on the straight path; empty if there is none."""
-        fractions = np.linspace(0.0, 1.0, _INSTANTS)[:, None]
-        return self._too_heavy(start + fractions * (goal - start)) or self._too_close(start, goal)
+
+        def line(times: FloatArray) -> FloatArray:
+            states = np.zeros((4, len(times), len(start)))
+            states[0], states[1] = start + times[:, None] * (goal - start), goal - start
+            return states
+
+        return self._too_heavy(line(np.linspace(0.0, 1.0, _INSTANTS))[0]) or self._contact(line, 1.0)[0]
 
     def _too_heavy(self, positions: FloatArray) -> str:
         """Describe a joint too weak for gravity at ``positions (N, joints)``, by the URDF's inertias; empty if none."""
@@ -154,17 +153,18 @@ class ApproachPath:
             f"gravity requires {loads[worst]:.0%} of the effort limit of joint '{name}'" if loads[worst] > 1.0 else ""
         )
 
-    def _too_close(self, start: FloatArray, goal: FloatArray) -> str:
+    def _contact(self, moving: Course, duration: float) -> tuple[str, float]:
+        """Describe the pair that comes closest on a path of the ``moving`` joints, if too close, and give the time [s];
+        else empty, and zero."""
         if self._collision is None:
-            return ""
-
-        def line(times: FloatArray) -> FloatArray:
-            states = np.zeros((4, len(times), len(start)))
-            states[0], states[1] = start + times[:, None] * (goal - start), goal - start
-            return self._states(states)
-
-        distances = PathClearance(line, 1.0, self._collision, self._clearances)
-        return "" if distances.verify() else _said(*distances.worst)
+            return "", 0.0
+        clearance = PathClearance(
+            lambda times: self._states(moving(times)), duration, self._collision, self._clearances
+        )
+        if clearance.verify():
+            return "", 0.0
+        pair, distance, time = clearance.worst
+        return f"{pair} come as close as {1e3 * distance:.0f} mm" if distance > 0.0 else f"{pair} collide", time
 
     def _states(self, moving: FloatArray) -> FloatArray:
         """States of all joints ``(4, N, all)``, from those of the moving ones ``(4, N, joints)``."""
@@ -175,10 +175,4 @@ class ApproachPath:
 
     def all_positions(self, positions: FloatArray) -> FloatArray:
         """Positions of all joints ``(N, all)``, from those of the moving ones ``(N, joints)``."""
-        all_positions = np.tile(self._standing, (len(positions), 1))
-        all_positions[:, self._places] = positions
-        return all_positions
-
-
-def _said(pair: Pair, distance: float, _time: float) -> str:
-    return f"{pair} come as close as {1e3 * distance:.0f} mm" if distance > 0.0 else f"{pair} collide"
+        return np.asarray(self._states(positions[None])[0])

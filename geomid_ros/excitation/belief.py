@@ -189,15 +189,17 @@ def aim_weight(aim: str, belief: Belief, others: Sequence[ExcitingMotion]) -> Fl
         return np.asarray(np.mean(information, axis=0))
     weight = np.zeros((size, size))
     if aim == FRICTION:
-        indices = [index for index, friction in enumerate(_are_friction(belief), manifold.inertial.stop) if friction]
-        if not indices:
+        forms = [effect_class(effect.name).parameters for effect in belief.posterior.effects]
+        are_friction = [any(form.urdf.startswith(_FRICTION) for form in of_effect) for of_effect in forms]
+        indices = manifold.inertial.stop + np.flatnonzero(are_friction)
+        if not len(indices):
             raise InputError("--for friction: none of the identified effects is friction; add one to 'effects'")
     elif aim == PAYLOAD or aim.startswith(LINK):
         links = belief.posterior.links
         name = links[-1] if aim == PAYLOAD else aim.removeprefix(LINK)
         if name not in links:
             raise unknown_name("link to identify", name, links)
-        indices = [*range(size)[manifold.link(links.index(name))]]
+        indices = np.arange(size)[manifold.link(links.index(name))]
     else:
         raise unknown_name("aim", aim, (PREDICTION, FRICTION, PAYLOAD, f"{LINK}NAME"))
     weight[indices, indices] = 1.0
@@ -212,13 +214,6 @@ def error_description(aim: str) -> str:
         return "combined relative error of the friction coefficients"
     link = "the last link" if aim == PAYLOAD else aim.removeprefix(LINK)
     return f"error of the inertia of {link}, as a geodesic distance"
-
-
-def _are_friction(knowledge: Belief) -> list[bool]:
-    return [
-        any(form.urdf.startswith(_FRICTION) for form in effect_class(effect.name).parameters)
-        for effect in knowledge.posterior.effects
-    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -210,6 +210,11 @@ class Feasibility:
 
     def margins(self, motion: ExcitingMotion) -> Margins:
         """Margins of a feasible motion from all limits."""
+        distance = np.zeros(0)
+        if self.collision is not None:
+            path = PathClearance(motion.at, motion.form.period, self.collision, self.clearances)
+            path.verify()
+            distance = path.bounds()
         states = motion.at(_times(motion, _FINE))
         low, high = self.limits.position.T
         fractions = np.max(np.abs(states[1:]), axis=1) / self.limits.derivatives
@@ -220,15 +225,8 @@ class Feasibility:
             acceleration=fractions[1],
             jerk=fractions[2],
             effort=efforts,
-            distance=self._least_distances(motion),
+            distance=distance,
         )
-
-    def _least_distances(self, motion: ExcitingMotion) -> FloatArray:
-        if self.collision is None:
-            return np.zeros(0)
-        distances = PathClearance(motion.at, motion.form.period, self.collision, self.clearances)
-        distances.verify()
-        return distances.bounds()
 
 
 def _times(motion: ExcitingMotion, rate: float) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -65,12 +65,11 @@ def motion_limits(
     Raises:
         InputError: naming the joint whose limit is missing.
     """
-    joint_limits = [given.get(name, JointLimits()) for name in robot.joint_names]
-    position = _or_given(robot.position_limits, [(limit.lower, limit.upper) for limit in joint_limits])
-    velocity = _or_given(robot.speed_limits, [limit.velocity for limit in joint_limits])
-    effort = _or_given(robot.effort_limits, [limit.effort for limit in joint_limits])
-    acceleration = _or_given(np.full(len(joint_limits), np.inf), [limit.acceleration for limit in joint_limits])
-    jerk = _or_given(np.full(len(joint_limits), np.inf), [limit.jerk for limit in joint_limits])
+    stated = np.array([astuple(given.get(name, JointLimits())) for name in robot.joint_names], dtype=np.float64)
+    unlimited = np.full(len(stated), np.inf)
+    urdf = np.column_stack([robot.position_limits, robot.speed_limits, unlimited, unlimited, robot.effort_limits])
+    limits = np.where(np.isfinite(stated), stated, urdf)  # None has become NaN
+    position, (velocity, acceleration, jerk, effort) = limits[:, :2], limits[:, 2:].T
     _require(robot, velocity, "velocity", source)
     derived = ~np.isfinite(acceleration)
     _require(robot, np.where(derived, effort, 0.0), "acceleration", source)
@@ -86,12 +85,6 @@ def motion_limits(
         effort=effort,
         notes=tuple(_notes(robot.joint_names, derived, by_jerk, acceleration)),
     )
-
-
-def _or_given(default: FloatArray, given: Sequence[object]) -> FloatArray:
-    """Numbers of the URDF, overridden by those that are given."""
-    stated = np.array(given, dtype=np.float64)  # None is not a number
-    return np.where(np.isfinite(stated), stated, default)
 
 
 def _require(robot: Robot, limits: FloatArray, kind: str, source: str) -> None:

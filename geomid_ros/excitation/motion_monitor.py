@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -180,7 +179,7 @@ class MotionMonitor:
     def _too_strong(self, effort: FloatArray) -> str:
         for index in np.flatnonzero(np.abs(effort) > self._limits.efforts):
             limit = self._limits.efforts[index]
-            return f"the effort of joint '{self._name(index)}' is {effort[index]:.4g}, its limit {limit:g}"
+            return f"the effort of joint '{self._motion.joints[index]}' is {effort[index]:.4g}, its limit {limit:g}"
         return ""
 
     def _astray(self, position: FloatArray, commanded: FloatArray) -> str:
@@ -189,7 +188,7 @@ class MotionMonitor:
         if error[worst] <= self._tolerance:
             return ""
         return (
-            f"joint '{self._name(worst)}' is {error[worst]:.3f} rad (m) off its trajectory, at "
+            f"joint '{self._motion.joints[worst]}' is {error[worst]:.3f} rad (m) off its trajectory, at "
             f"{position[worst]:.3f} instead of {commanded[worst]:.3f}; tolerance {self._tolerance:g} (--tolerance)"
         )
 
@@ -202,10 +201,7 @@ class MotionMonitor:
             return ""
         worst = int(np.argmax(span))
         return (
-            f"the controller does not follow: joint '{self._name(worst)}' was commanded to move by {span[worst]:.3f} "
-            f"rad (m) in the last {_WINDOW:g} s but is at rest. Check that the controller is active and the robot is "
-            "enabled"
+            f"the controller does not follow: joint '{self._motion.joints[worst]}' was commanded to move by "
+            f"{span[worst]:.3f} rad (m) in the last {_WINDOW:g} s but is at rest. Check that the controller is active "
+            "and the robot is enabled"
         )
-
-    def _name(self, index: int | np.integer[Any]) -> str:
-        return self._motion.joints[index]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -61,12 +62,11 @@ def responses(
     """Efforts ``(N, J, k)`` per unit of each coefficient, for each effect. The robot is as its URDF describes it, at
     ``states (3, N, J)`` sampled every ``period`` [s]."""
     samples = samples_of(states, len(model.sensors))
-    needs_situation = any(isinstance(part, SituationEffect) for effect, _ in effects for part in effect.parts)
-    situation = _situation(model, samples, period) if needs_situation else None
+    situation = cache(lambda: _situation(model, samples, period))  # slow, and not always needed
 
     def part_columns(part: Effect, place: Place) -> FloatArray:
-        if isinstance(part, SituationEffect) and situation is not None:
-            return part.columns(situation, place)[:, : states.shape[2]]
+        if isinstance(part, SituationEffect):
+            return part.columns(situation(), place)[:, : states.shape[2]]
         if isinstance(part, MotionEffect):
             return part.efforts(samples.motion, place)[:, :, None]
         return np.zeros((*states.shape[1:], 0))
@@ -172,9 +172,8 @@ class DiscriminationCriterion:
 
     def _at(self, motion: ExcitingMotion) -> tuple[FloatArray, Callable[[NamedEffect], list[FloatArray]]]:
         """Weighted regressor ``(n, D)`` of a motion; a function for the weighted columns ``(n, k)`` of variants."""
-        motion_period = motion.form.period
-        count = int(np.ceil(_RATE * motion_period))
-        step = motion_period / count
+        count = int(np.ceil(_RATE * motion.form.period))
+        step = motion.form.period / count
         states = motion.at(np.asarray((np.arange(count) + 0.5) * step))[:3]
         weights = np.sqrt(ROWS_PER_SECOND * motion.form.duration / count) / self._knowledge.sigmas[: states.shape[2]]
         rows = self._knowledge.rows(states)[:, : states.shape[2]] * weights[:, None]

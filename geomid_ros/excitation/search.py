@@ -119,12 +119,9 @@ class Search:
     @cached_property
     def _units(self) -> FloatArray:
         """Scales of the coefficients ``(size, J)``: each alone moves a joint as far as its limits allow."""
-        return np.array([self.feasibility.largest_scale(self._unit_motion(index)) for index in range(self.form.size)])
-
-    def _unit_motion(self, index: int) -> ExcitingMotion:
-        coefficients = np.zeros((self.form.size, len(self.feasibility.start)))
-        coefficients[index] = 1.0
-        return ExcitingMotion(self.form, self.feasibility.start, coefficients)
+        start = self.feasibility.start
+        units = np.eye(self.form.size)[:, :, None] * np.ones(len(start))
+        return np.array([self.feasibility.largest_scale(ExcitingMotion(self.form, start, unit)) for unit in units])
 
     @cached_property
     def _basis(self) -> FloatArray:

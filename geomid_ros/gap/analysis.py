@@ -19,6 +19,7 @@ from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.options import Progress
 from geomid_ros.types import BoolArray, FloatArray
 
 _ROUNDS = 6
@@ -43,6 +44,10 @@ class Analysis:
     floor: FloatArray
     contested: float = 0.0
 
+    def usual_load(self, candidate: Candidate) -> float:
+        """Std of the rigid-body load [N m or N] that scales the grid constant of a candidate; 0 without one."""
+        return self.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
+
     @property
     def likely(self) -> EffectsFit:
         """Fit with only the likely named effects."""
@@ -60,7 +65,7 @@ class _Task:
     links: Sequence[int]
     inner: Collection[int]
     known_remainder: KnownRemainder | None
-    progress: Callable[[str, float], None]
+    progress: Progress
 
     def linearised(self, total: TotalModel, floor: FloatArray | None = None) -> LinearisedProblem:
         """Return the problem linearised at a total model."""
@@ -71,7 +76,7 @@ def analyse(
     model: MeasurementModel,
     records: Records,
     prior: EffectsPrior,
-    progress: Callable[[str, float], None],
+    progress: Progress,
     known_remainder: KnownRemainder | None = None,
 ) -> Analysis:
     """Find the set of named effects that explains the records best, and the changed links given these.
@@ -210,27 +215,25 @@ def _last_round(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
     floor: FloatArray | None = None
     previous: EffectsFit | None = None
     settling, variances = False, tuple[FloatArray, ...]()
-    rounds: list[_Round] = []
-    for attempt in range(_ROUNDS + _REFITS):
+    attempt, last = 0, None
+    while True:
         task.progress(stage, min(1.0, attempt / _ROUNDS))
         problem = task.linearised(total, floor)
-        rounds.clear()  # free the large columns and products before the next ones
+        last = None  # free the large columns and products before the next ones
         last = _round(task, prior, problem, noise, previous, variances=variances, attempt=attempt, settling=settling)
-        rounds.append(last)
         names, variances = last.found, last.search.design.variances
-        del last
         total = total_model(task.model, names)
-        if settling and _same(previous, names):
-            break
+        if attempt == _ROUNDS + _REFITS - 1 or (settling and _same(previous, names)):
+            return last
         settling |= attempt >= _ROUNDS - 2 or _same(previous, names)
         previous = names
         if attempt < _ROUNDS - 1:
-            residual = problem.residual(rounds[-1].columns, names)
-            residual -= problem.remainder(rounds[-1].search.design, names)
+            residual = problem.residual(last.columns, names)
+            residual -= problem.remainder(last.search.design, names)
             floor, determined = problem.identifiable_floor(_typical_size(residual, problem.valid))
             pairs = zip(determined.tolist(), _noise(residual, problem.valid, task.records), noise, strict=True)
             noise = tuple(latest if is_determined else earlier for is_determined, latest, earlier in pairs)
-    return rounds[-1]
+        attempt += 1
 
 
 def _beginning(task: _Task, prior: EffectsPrior) -> tuple[tuple[Autoregression, ...], TotalModel]:

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.model.effects import KnownEffect, Quantity, Values, effect_class, values_of
 from geomid_ros.types import FloatArray, IntArray
 
@@ -18,6 +19,9 @@ Verdict: TypeAlias = Literal["no gap", "named", "incomplete", "unexplained"]
 SURE, LIKELY = 0.95, 0.5
 """Least probabilities of a sure and of a tentative named effect. A less likely one is kept if rivals make up for it,
 see :attr:`Finding.is_likely`."""
+
+
+_BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of several explanations: "}
 
 
 def confidence_of(probability: float) -> Confidence:
@@ -46,7 +50,6 @@ class Finding(KnownEffect):
         loss: how much worse the score is without it.
         share: fraction of the gap that it closes.
         was: the parameters before, if the model had the effect, which has changed.
-        sentence: all this in words.
         settled_by: the recording that would settle an ambiguity, empty when there is none.
         moment: mass times centre of mass of a payload whose mass the motion does not identify; else empty.
     """
@@ -57,7 +60,6 @@ class Finding(KnownEffect):
     loss: float
     share: float
     was: Values
-    sentence: str
     settled_by: str
     moment: Mapping[str, Quantity] = field(default_factory=dict)
 
@@ -71,6 +73,23 @@ class Finding(KnownEffect):
         """True if it or one of its rivals is more likely than nothing."""
         weights = np.exp(-0.5 * np.array([0.0, *(rival.loss for rival in self.rivals)]))
         return bool(self.probability * np.sum(weights) >= LIKELY)
+
+    @property
+    def sentence(self) -> str:
+        """Sentence with 95 % intervals and the former values; with the ``moment`` instead where there is one."""
+        effect = effect_class(self.effect)
+        where = f" at link '{self.link}'" if self.link else f" at '{self.joint}'" if self.joint else ""
+        sizes, was, aside = self.parameters, self.was, ""
+        if self.moment:
+            sizes, was = self.moment, {}
+            aside = f"; this motion does not identify its mass: {_said(self.parameters['mass'])}"
+        terms = [
+            f"{name} {_said(quantity)}" + (f" instead of {was[name]:.4g}" if name in was else "")
+            for name, quantity in list(sizes.items())[: effect.stated_parameter_count]
+        ]
+        qualifier = _BEFORE[self.confidence]
+        text = f"{effect.label}{where}: {', '.join(terms)} (95 % interval){aside}."
+        return qualifier + text if qualifier else text[0].upper() + text[1:]
 
 
 @dataclass(frozen=True)
@@ -253,6 +272,11 @@ class GapResult:
     def sure(self) -> tuple[Finding, ...]:
         """Findings that are in the written model."""
         return _sure(self.findings)
+
+
+def _said(quantity: Quantity) -> str:
+    unit = "" if quantity.unit == "-" else f" {quantity.unit}"
+    return f"{quantity.value:.4g} ± {STDS_OF_95 * quantity.std:.2g}{unit}"
 
 
 def effort_gains(findings: Sequence[Finding], channels: Sequence[str]) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import chain
 from time import perf_counter
@@ -28,6 +28,7 @@ from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST, Samples
+from geomid_ros.options import Progress, silent
 from geomid_ros.types import FloatArray
 
 CUTOFF = 8.0
@@ -54,7 +55,7 @@ def find_gap(
     other_effects: Sequence[KnownEffect] = (),
     known_remainder: KnownRemainder | None = None,
     simulated: Sequence[Samples] = (),
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress = silent,
 ) -> GapResult:
     """Find where a model and a measurement disagree, which effect causes it, and the residual on unseen data.
 
@@ -92,7 +93,6 @@ def find_gap(
             predicts.
     """
     started = perf_counter()
-    report = progress or _silent
     bare = model.without_effects()
     records = Records.make(train, cutoff)
     unseen = Records.make(held_out or train, cutoff)
@@ -102,16 +102,16 @@ def find_gap(
     prior, placed_effects = _with_other_effects(bare, records, prior, other_effects)
     prior = _with_least_stds(bare, records, prior)
     if simulated:
-        prior, known_remainder = _as_simulated(bare, Records.make(simulated, cutoff), prior, report), None
-    analysis = analyse(bare, records, prior, report, known_remainder)
-    report("judging", 0.0)
+        prior, known_remainder = _as_simulated(bare, Records.make(simulated, cutoff), prior, progress), None
+    analysis = analyse(bare, records, prior, progress, known_remainder)
+    progress("judging", 0.0)
     links = changed_links(bare, analysis)
     named = findings(bare, analysis)
     result = confirmed_changes(bare, records, analysis, named, links)
     files = HeldOut(bare, unseen, replace(analysis, effects=result.found))
     # The inertias of a URDF are wrong on any robot; those of an identified or simulated model are not.
     is_named = bool(result.findings or (result.links and (prior.identified or simulated)))
-    report("judging", 1.0)
+    progress("judging", 1.0)
     named_terms = {term for candidate in result.found.chosen for term in candidate.terms}
     untouched = fit_of_prior(prior)
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
@@ -197,10 +197,6 @@ def residual_rms(
     untouched = fit_of_prior(prior)
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     return root_mean_square(problem.residual(problem.columns((), prior.terms), untouched))
-
-
-def _silent(_: str, __: float) -> None:
-    """Show no progress."""
 
 
 def _measured(model: MeasurementModel, records: Records) -> FloatArray:
@@ -310,12 +306,10 @@ def _with_least_stds(model: MeasurementModel, records: Records, prior: EffectsPr
     return replace(prior, prior_stds=np.maximum(prior.prior_stds, least), other_recordings=known)
 
 
-def _as_simulated(
-    model: MeasurementModel, records: Records, prior: EffectsPrior, report: Callable[[str, float], None]
-) -> EffectsPrior:
+def _as_simulated(model: MeasurementModel, records: Records, prior: EffectsPrior, progress: Progress) -> EffectsPrior:
     """Return the prior of the user's simulator: its inertias with payloads, and its effects, instead of the model's."""
     _check(model, records)
-    likely = analyse(model, records, prior.without_other_recordings, report).likely
+    likely = analyse(model, records, prior.without_other_recordings, progress).likely
     inertias = total_model(model, likely).inertias[list(model.identified)].ravel()
     values = np.array([likely.value(term) for term in likely.terms])
     prior_stds = np.maximum(_STD_OF_EFFECTS * np.abs(values), _LEAST_STD)

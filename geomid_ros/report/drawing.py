@@ -12,20 +12,23 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.colours import FAINT, FRAME, GRID, IDENTIFIED, INK, MEASURED, URDF
+from geomid_ros.report.colours import DOUBT, FAINT, FRAME, GRID, IDENTIFIED, INK, MEASURED, URDF
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.page import number
 from geomid_ros.report.pictures import CHANNELS, ROBOT, SIZE, add_axes, add_text, new_figure, shortened, text_width
 from geomid_ros.report.robot_drawing import draw_bodies
 from geomid_ros.report.series import MOST_DRAWN, Clock, Series, limits, thinned
 from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray
 
 
 def draw_identification(
-    session: Session, estimate: Estimate, batches: Sequence[Samples], series: Sequence[Series], of_what: str
+    session: Session,
+    estimate: Estimate,
+    batches: Sequence[Samples],
+    series: Sequence[Series],
+    of_what: str,
+    doubts: Sequence[str],
 ) -> Figure:
     """Draw the bodies before and after, and every measured channel over time.
 
@@ -35,23 +38,29 @@ def draw_identification(
         batches: samples in the order of time; the bodies are drawn in the pose of the middle one.
         series: their channels.
         of_what: name of these samples.
+        doubts: why the estimate cannot be used, in sentences.
     """
     return identification_figure(
         f"{session.robot.name}: identified link inertias",
         _bodies(session, estimate, _middle(batches)),
         series,
         f"Measured and predicted on {of_what}; identified from {estimate.rows_accepted} rows.",
+        doubts,
     )
 
 
-def identification_figure(title: str, bodies: Sequence[BodyDrawing], series: Sequence[Series], note: str) -> Figure:
-    """Draw bodies and channels."""
+def identification_figure(
+    title: str, bodies: Sequence[BodyDrawing], series: Sequence[Series], note: str, doubts: Sequence[str] = ()
+) -> Figure:
+    """Draw bodies and channels, with ``doubts`` below the title and a ``note`` below all."""
     figure = new_figure(*SIZE, layout=None)
     left, top, _, height = ROBOT
     heading = shortened(title, CHANNELS[0] - left, 17.0, "bold")
     add_text(figure, left, 0.42, heading, 17.0, weight="bold")
-    wrapped = textwrap.fill(note, 190, max_lines=3, placeholder=" …")
-    add_text(figure, left, top + height + 0.2, wrapped, color=FAINT, va="top")
+    for k, line in enumerate(textwrap.wrap(" ".join(doubts), 115, max_lines=2, placeholder=" …")):
+        add_text(figure, left, 0.68 + 0.19 * k, line, color=DOUBT, weight="bold")
+    for k, line in enumerate(textwrap.wrap(note, 190, max_lines=3, placeholder=" …")):
+        add_text(figure, left, top + height + 0.2 + 0.16 * k, line, color=FAINT, va="top")
     if bodies:
         draw_bodies(figure, bodies)
     draw_series(figure, series)
@@ -67,18 +76,12 @@ def _bodies(session: Session, estimate: Estimate, pose: Samples) -> list[BodyDra
             link.name,
             frames[link.name][1],
             frames[parent][1] if (parent := robot.parent_body(link.name)) else None,
-            _ellipsoid(nominal[index], *frames[link.name]),
-            _ellipsoid(link.parameters, *frames[link.name]),
+            Ellipsoid.of(nominal[index], *frames[link.name]),
+            Ellipsoid.of(link.parameters, *frames[link.name]),
             link.from_data,
         )
         for index, link in enumerate(estimate.links)
     ]
-
-
-def _ellipsoid(parameters: FloatArray, rotation: FloatArray, origin: FloatArray) -> Ellipsoid:
-    semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(parameters)
-    centre = origin + rotation @ pseudo_inertia.centre_of_mass(parameters)
-    return Ellipsoid(centre, semi_axes, rotation @ axes, float(parameters[0]))
 
 
 def _middle(batches: Sequence[Samples]) -> Samples:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.report.page import round_step
 from geomid_ros.types import FloatArray
 
@@ -26,10 +27,21 @@ class Ellipsoid:
     axes: FloatArray
     mass: float
 
+    @staticmethod
+    def of(parameters: FloatArray, rotation: FloatArray, origin: FloatArray) -> Ellipsoid:
+        """Ellipsoid of inertial ``parameters (10,)`` of a link, given the pose of its frame in the world."""
+        semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(parameters)
+        centre = origin + rotation @ pseudo_inertia.centre_of_mass(parameters)
+        return Ellipsoid(centre, semi_axes, rotation @ axes, float(parameters[0]))
+
     @property
     def is_finite(self) -> bool:
         """True if the ellipsoid can be drawn."""
         return all(np.all(np.isfinite(part)) for part in (self.centre, self.semi_axes, self.axes))
+
+    def reach_from(self, origin: FloatArray) -> float:
+        """Largest reach from an ``origin (3,)`` [m]."""
+        return float(np.linalg.norm(self.centre - origin) + np.max(self.semi_axes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +82,22 @@ class View:
         """Matrix ``(3, 3)`` [m] that maps the unit sphere to the ellipsoid about its centre, in the view's axes."""
         return self.rotation @ (body.axes * body.semi_axes)
 
+    def outline(self, body: Ellipsoid) -> FloatArray:
+        """Outline ``(2, K)`` of the ellipsoid on the picture [m]: the unit circle under ``U S``, where ``U S V^T`` are
+        the first two rows of its sphere map."""
+        turn, stretch, _ = np.linalg.svd(self.sphere_map(body)[:2])
+        return np.asarray(self.flat(body.centre)[:, None] + (turn * stretch) @ circle())
+
+    def half_widths(self, body: Ellipsoid) -> FloatArray:
+        """Half the extent of the ellipsoid on the picture, ``(2,)`` [m]."""
+        return np.asarray(np.linalg.norm(self.sphere_map(body)[:2], axis=1))
+
 
 def reach_of(bodies: Sequence[BodyDrawing]) -> float:
     """Largest reach of a body from its link's origin [m] that fits the picture: the size of the robot, or three times
     the median reach where the frames lie close together."""
     robot = float(np.linalg.norm(np.ptp(stick_ends(bodies), axis=0)))
-    reaches = [np.linalg.norm(body.prior.centre - body.origin) + np.max(body.prior.semi_axes) for body in bodies]
+    reaches = [body.prior.reach_from(body.origin) for body in bodies]
     finite = [reach for reach in reaches if np.isfinite(reach)]
     return max(robot, 3.0 * float(np.median(finite)) if finite else 0.0) or 1.0
 
@@ -91,7 +113,7 @@ def thickened(body: BodyDrawing, least: float) -> BodyDrawing:
 def solids_within(bodies: Sequence[BodyDrawing], reach: float) -> list[Ellipsoid]:
     """Select the ellipsoids within ``reach`` [m] of their link's origin."""
     pairs = [(body.origin, solid) for body in bodies for solid in (body.prior, body.identified)]
-    return [s for origin, s in pairs if np.linalg.norm(s.centre - origin) + np.max(s.semi_axes) <= reach]
+    return [solid for origin, solid in pairs if solid.reach_from(origin) <= reach]
 
 
 def stick_ends(bodies: Sequence[BodyDrawing]) -> FloatArray:
@@ -117,17 +139,14 @@ def view_of(points: FloatArray) -> View:
     return View(np.array([right, np.cross(towards, right), towards]))
 
 
-def bounds(view: View, points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, FloatArray]:
-    """Lower left and upper right corner ``(2,)`` of points ``(K, 3)`` and ellipsoids on the picture [m]."""
-    centres = np.array([view.flat(solid.centre) for solid in solids]).reshape(-1, 2)
-    halves = np.array([half_widths(view, solid) for solid in solids]).reshape(-1, 2)
-    ends = np.vstack([view.flat(points), centres - halves, centres + halves])
-    return ends.min(axis=0), ends.max(axis=0)
-
-
-def half_widths(view: View, solid: Ellipsoid) -> FloatArray:
-    """Half the extent of the ellipsoid on the picture, ``(2,)`` [m]."""
-    return np.asarray(np.linalg.norm(view.sphere_map(solid)[:2], axis=1))
+def bounds(rotation: FloatArray, points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest coordinates ``(k,)`` [m] of points ``(K, 3)`` and ellipsoids along the rows of a
+    ``rotation (k, 3)``."""
+    ends = [points @ rotation.T]
+    for solid in solids:
+        half = np.linalg.norm(rotation @ (solid.axes * solid.semi_axes), axis=1)
+        ends.append(rotation @ solid.centre + np.array([-half, half]))
+    return np.vstack(ends).min(axis=0), np.vstack(ends).max(axis=0)
 
 
 def circle() -> FloatArray:
@@ -136,19 +155,9 @@ def circle() -> FloatArray:
     return np.array([np.cos(angle), np.sin(angle)])
 
 
-def outline(sphere_map: FloatArray) -> FloatArray:
-    """Outline ``(2, K)`` of an ellipsoid about its centre: the unit circle under ``U S``, where ``U S V^T`` are the
-    first two rows of the map."""
-    turn, stretch, _ = np.linalg.svd(sphere_map[:2])
-    return np.asarray((turn * stretch) @ circle())
-
-
 def floor_below(points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, float]:
     """Grid below points ``(K, 3)`` and ellipsoids: crossings ``(rows, columns, 3)``, distance of the lines [m]."""
-    halves = np.array([np.linalg.norm(solid.axes * solid.semi_axes, axis=1) for solid in solids]).reshape(-1, 3)
-    centres = np.array([solid.centre for solid in solids]).reshape(-1, 3)
-    ends = np.vstack([points, centres - halves, centres + halves])
-    step = round_step((float(np.max(np.ptp(ends, axis=0))) or 1.0) / 10.0)
-    low, high = np.floor(ends.min(axis=0) / step), np.ceil(ends.max(axis=0) / step)
-    x, y = (step * np.arange(low[k], high[k] + 1.0) for k in range(2))
-    return np.stack(np.broadcast_arrays(x[:, None], y[None, :], ends[:, 2].min()), axis=-1), step
+    low, high = bounds(np.eye(3), points, solids)
+    step = round_step((float(np.max(high - low)) or 1.0) / 10.0)
+    x, y = (step * np.arange(np.floor(low[k] / step), np.ceil(high[k] / step) + 1.0) for k in range(2))
+    return np.stack(np.broadcast_arrays(x[:, None], y[None, :], low[2]), axis=-1), step

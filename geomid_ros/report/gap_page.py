@@ -9,11 +9,10 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -25,16 +24,16 @@ from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.report import gap_words
 from geomid_ros.report.colours import BEFORE, FLOOR, FRAME, GRID, IDENTIFIED, INK
-from geomid_ros.report.page import Bars, Script, dots_path, ticks, write_page
+from geomid_ros.report.page import Bars, Script, dots_path, rendered_page, ticks, write_page
 from geomid_ros.report.series import BINS, MOST_DRAWN, SCRIPT, ChannelTrace, Series, elapsed, traces
 from geomid_ros.resimulation.resimulate import HORIZON, Kind, Resimulated
 from geomid_ros.types import FloatArray
 
 _WIDTH = 310  # [pt]
-_ROW = 58  # height that each row adds to a picture
-_LEFT, _RIGHT, _TOP, _BOTTOM = 53, 12, 22, 33  # margins [pt]
+_ROW = 58  # height that each panel adds to a picture
+_LEFT, _RIGHT, _TOP, _BOTTOM, _APART = 53, 12, 22, 33, 8  # margins, and distance of panels [pt]
+_PANEL = _WIDTH - _LEFT - _RIGHT
 _FINE = 10  # path units per pt
-_FONT = "font-family='sans-serif' font-size='9'"
 
 
 @dataclass(frozen=True)
@@ -46,60 +45,28 @@ class Picture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Panel:
-    """Axes ``height`` [pt] high, ``top`` [pt] below the upper edge of a picture, with limits of ``x`` and of ``y``."""
+class _Axes:
+    """Axes of a panel ``height`` [pt] high, with limits of ``x`` and of ``y``. Places are in units of a path from the
+    upper left corner."""
 
-    top: float
     height: float
     x: tuple[float, float]
     y: tuple[float, float]
 
-    @property
-    def _width(self) -> float:
-        return float(_WIDTH - _LEFT - _RIGHT)
+    def right(self, x: FloatArray) -> FloatArray:
+        """Places of values of x."""
+        return _FINE * _PANEL * (x - self.x[0]) / (self.x[1] - self.x[0])
 
-    def places(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Convert values to units of a path from the upper left corner."""
-        right = _FINE * self._width * (x - self.x[0]) / (self.x[1] - self.x[0])
-        down = _FINE * self.height * (self.y[1] - y) / (self.y[1] - self.y[0])
-        return right, down
+    def down(self, y: FloatArray) -> FloatArray:
+        """Places of values of y."""
+        return _FINE * self.height * (self.y[1] - y) / (self.y[1] - self.y[0])
 
-    def drawn(self, marks: Sequence[str], label: str, below: str | None, behind: str = "") -> str:
-        """Draw the axes: marks over a grid over ``behind``, a label, and, with ``below``, the numbers and label of
-        x."""
-        width, height = _FINE * self._width, _FINE * self.height
-        across, up = ticks(*self.x, 7), ticks(*self.y, 5)
-        right, _ = self.places(np.array(across), np.zeros(len(across)))
-        _, down = self.places(np.zeros(len(up)), np.array(up))
-        grid = "".join(f"M{x:.0f} 0v{height:.0f}" for x in right) + "".join(f"M0 {y:.0f}h{width:.0f}" for y in down)
-        bottom = self.top + self.height
-        size = f"width='{self._width}' height='{self.height}' viewBox='0 0 {width} {height}'"
-        parts = [
-            f"<svg x='{_LEFT}' y='{self.top}' {size} fill='none'>{behind}",
-            f"<path d='{grid}' stroke='{GRID}' stroke-width='7'/>{''.join(marks)}</svg>",
-            f"<path d='M{_LEFT} {self.top}V{bottom}H{_WIDTH - _RIGHT}' stroke='{FRAME}' fill='none'/>",
-            *(_text(_LEFT - 4, self.top + y / _FINE + 3, f"{v:g}", "end") for v, y in zip(up, down, strict=True)),
-            f"<g transform='translate(11 {self.top + 0.5 * self.height}) rotate(-90)'>{_text(0, 0, label)}</g>",
-        ]
-        if below is not None:
-            numbers = zip(across, right, strict=True)
-            parts += [_text(_LEFT + x / _FINE, bottom + 12, f"{v:g}") for v, x in numbers]
-            parts.append(_text(_LEFT + 0.5 * self._width, bottom + 25, below))
-        return "".join(parts)
-
-    def dots(self, x: FloatArray, y: FloatArray, color: str) -> str:
-        """Draw the points, thinned to as many as can be distinguished."""
+    def dots(self, x: FloatArray, y: FloatArray, color: str) -> dict[str, Any]:
+        """Points for the template, thinned to as many as can be distinguished."""
         chosen = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
         chosen = chosen[:: -(-len(chosen) // (2 * BINS)) or 1]
         size = float(np.clip(45.0 / np.sqrt(len(chosen) + 1.0), 1.3, 3.0))
-        path = dots_path(*self.places(x[chosen], y[chosen]))
-        style = f"stroke='{color}' stroke-width='{_FINE * size:.0f}' stroke-opacity='.65'"
-        return f"<path d='{path}' {style} stroke-linecap='round'/>"
-
-    def band(self, half: float) -> str:
-        """Draw the band of y values up to ``half`` from zero."""
-        _, (top, bottom) = self.places(np.zeros(2), np.array([half, -half]))
-        return f"<rect y='{top:.0f}' width='{_FINE * self._width}' height='{bottom - top:.0f}' fill='{FLOOR}'/>"
+        return {"path": dots_path(self.right(x[chosen]), self.down(y[chosen])), "color": color, "size": size}
 
 
 def residual_picture(page: GapPage, channel: int) -> Picture:
@@ -108,24 +75,43 @@ def residual_picture(page: GapPage, channel: int) -> Picture:
     result, trace, rigid = page.result, page.result.trace, page.rigid[:, channel]
     missing, fitted = trace.measured[:, channel] - rigid, trace.after[:, channel] - rigid
     floor, (variable, variable_unit, values) = float(result.floor[channel]), _variable(page, channel)
-    rows = [("left", missing - fitted, INK)]
+    rows = [("left", [(missing - fitted, INK)])]
     caption = "the remaining residual"
     if np.any(fitted):
-        rows = [("missing", missing, BEFORE), *rows]
+        rows = [("missing", [(missing, BEFORE), (fitted, IDENTIFIED)]), *rows]
         caption = f"above, the residual of the model with corrected inertias, and what the findings explain; {caption}"
     total = 144 + _ROW * len(rows)
-    height = (total - _TOP - _BOTTOM + 8.0) / len(rows) - 8.0
-    limits = _limits(np.concatenate([missing, fitted]), floor)
-    panel = _Panel(top=_TOP, height=height, x=_span(values), y=limits)
-    panels = []
-    for name, residual, color in rows:
-        is_last = name == "left"
-        marks = [panel.dots(values, residual, color)] + ([] if is_last else [panel.dots(values, fitted, IDENTIFIED)])
-        below = f"{variable} [{variable_unit}]" if is_last else None
-        panels.append(panel.drawn(marks, f"{name} [{result.units[channel]}]", below, panel.band(2.0 * floor)))
-        panel = replace(panel, top=panel.top + height + 8.0)
+    height = (total - _TOP - _BOTTOM + _APART) / len(rows) - _APART
+    axes = _Axes(height=height, x=_span(values), y=_limits(np.concatenate([missing, fitted]), floor))
+    across, up = ticks(*axes.x, 7), ticks(*axes.y, 5)
     title = f"{result.channels[channel]} against {variable}"
-    return _picture(title, f"Residual of {title}: {caption}.", total, panels)
+    content = {
+        "title": title if len(title) <= 52 else f"{title[:22]}…{title[-28:]}",
+        "label": f"{variable} [{variable_unit}]",
+        "across": [(f"{value:g}", x) for value, x in zip(across, axes.right(np.array(across)), strict=True)],
+        "up": [(f"{value:g}", y) for value, y in zip(up, axes.down(np.array(up)), strict=True)],
+        "band": axes.down(np.array([2.0 * floor, -2.0 * floor])),
+        "panels": [
+            {
+                "top": _TOP + index * (height + _APART),
+                "label": f"{name} [{result.units[channel]}]",
+                "dots": [axes.dots(values, residual, color) for residual, color in curves],
+            }
+            for index, (name, curves) in enumerate(rows)
+        ],
+        "width": _WIDTH,
+        "height": total,
+        "left": _LEFT,
+        "panel_width": _PANEL,
+        "panel_height": height,
+        "fine": _FINE,
+        "floor_color": FLOOR,
+        "frame_color": FRAME,
+        "grid_color": GRID,
+    }
+    svg = rendered_page("residual.svg.j2", content)
+    address = f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode()}"
+    return Picture(f"Residual of {title}: {caption}.", address)
 
 
 def _limits(values: FloatArray, floor: float) -> tuple[float, float]:
@@ -143,21 +129,6 @@ def _span(values: FloatArray) -> tuple[float, float]:
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     margin = max(0.03 * (high - low), 1e-3 * max(abs(low), abs(high), 1.0))
     return low - margin, high + margin
-
-
-def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
-    return f"<text x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}' fill='{INK}'>{escape(text)}</text>"
-
-
-def _picture(title: str, description: str, height: float, panels: Sequence[str]) -> Picture:
-    """Assemble a picture ``height`` [pt] high from its panels."""
-    shortened = title if len(title) <= 52 else f"{title[:22]}…{title[-28:]}"
-    size = f"width='{_WIDTH}pt' height='{height}pt' viewBox='0 0 {_WIDTH} {height}'"
-    text = (
-        f"<svg xmlns='http://www.w3.org/2000/svg' {size} {_FONT}><rect width='100%' height='100%' fill='#fff'/>"
-        f"<g font-size='10' font-weight='bold'>{_text(6, 13, shortened, 'start')}</g>{''.join(panels)}</svg>"
-    )
-    return Picture(description, f"data:image/svg+xml;base64,{base64.b64encode(text.encode()).decode()}")
 
 
 _MOST_CHANNELS = 6  # with a residual picture

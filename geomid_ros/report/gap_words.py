@@ -1,5 +1,5 @@
-"""Summary of the gap workflow in words, the same in the terminal and on the page. The sentence of each finding is in
-:mod:`geomid_ros.gap.judgement.sentences`."""
+"""Summary of the gap workflow in words, the same in the terminal and on the page. The sentence of each finding is
+:attr:`geomid_ros.gap.result.Finding.sentence`."""
 
 from __future__ import annotations
 

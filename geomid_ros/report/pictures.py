@@ -22,10 +22,9 @@ from matplotlib.textpath import text_to_path
 
 from geomid_ros.errors import one_line
 from geomid_ros.files.disk import write_bytes
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.shape_prior import LinkPrior
 from geomid_ros.report.colours import FRAME, GRID, IDENTIFIED, INK, URDF
-from geomid_ros.report.ellipsoids import outline
+from geomid_ros.report.ellipsoids import Ellipsoid, View
 from geomid_ros.types import FloatArray, IntArray
 
 AxesRectangle: TypeAlias = tuple[float, float, float, float]
@@ -144,7 +143,7 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
     for panel, axis in zip(panels, shortest, strict=True):
         name, axes = _VIEWS[int(axis)]
         right, up = (np.eye(3)["xyz".index(letter)] for letter in axes)
-        _draw(panel, links, np.array([right, up, np.cross(right, up)]))
+        _draw(panel, links, View(np.array([right, up, np.cross(right, up)])))
         panel.set_title(f"{name} ({', '.join(axes)})", size="medium")
         panel.set_aspect("equal", adjustable="box")
         panel.set_xlabel("m")
@@ -157,18 +156,22 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
     write_picture(path, figure)
 
 
-def _draw(axes: Axes, links: Sequence[PlacedLink], view: FloatArray) -> None:
+def _draw(axes: Axes, links: Sequence[PlacedLink], view: View) -> None:
     """Draw the links in one view. The limits ignore inertials of the URDF, which may lie far outside."""
     extents = []
     for placed in links:
+        pose = placed.rotation, placed.origin
         if placed.link.solid is not None:
-            _draw_shape(axes, placed.in_world(placed.link.solid.vertices) @ view.T, placed.link.solid.triangles)
-            extents.append((placed.in_world(placed.link.solid.vertices) @ view.T)[:, :2])
+            vertices = placed.in_world(placed.link.solid.vertices) @ view.rotation.T
+            _draw_shape(axes, vertices, placed.link.solid.triangles)
+            extents.append(vertices[:, :2])
         if placed.link.before.parameters is not None and not placed.link.before.problem:
-            axes.plot(*_outline(placed.link.before.parameters, placed, view), color=URDF, ls="--", lw=1.0)
+            outline = view.outline(Ellipsoid.of(placed.link.before.parameters, *pose))
+            axes.plot(*outline, color=URDF, ls="--", lw=1.0)
         if placed.link.parameters is not None:
-            extents.append(_outline(placed.link.parameters, placed, view).T)
-            axes.plot(*extents[-1].T, color=IDENTIFIED, lw=1.3)
+            outline = view.outline(Ellipsoid.of(placed.link.parameters, *pose))
+            axes.plot(*outline, color=IDENTIFIED, lw=1.3)
+            extents.append(outline.T)
     ends = np.concatenate(extents)
     margin = 0.05 * np.ptp(ends, axis=0).max()
     axes.set_xlim(ends[:, 0].min() - margin, ends[:, 0].max() + margin)
@@ -187,13 +190,6 @@ def _draw_shape(axes: Axes, vertices: FloatArray, faces: IntArray) -> None:
         list(triangles[facing][order, :, :2]), facecolors=np.repeat(light[order, None], 3, axis=1), edgecolors="none"
     )
     axes.add_collection(collection, autolim=False)
-
-
-def _outline(parameters: FloatArray, placed: PlacedLink, view: FloatArray) -> FloatArray:
-    """Outline ``(2, K)`` of the equivalent ellipsoid."""
-    semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(parameters)
-    centre = view @ placed.in_world(pseudo_inertia.centre_of_mass(parameters))
-    return np.asarray(centre[:2, None] + outline(view @ placed.rotation @ (axes * semi_axes)))
 
 
 def torque_picture(path: Path, title: str, names: Sequence[str], drawn: FloatArray, ranges: FloatArray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -15,15 +16,13 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import PercentFormatter
 from matplotlib.transforms import Affine2D
 
-from geomid_ros.report.colours import FAINT, FRAME, GRID, INK, SHARES, STICKS, URDF
+from geomid_ros.report.colours import DOUBT, FAINT, FRAME, GRID, INK, SHARES, STICKS, URDF
 from geomid_ros.report.ellipsoids import (
     BodyDrawing,
     View,
     bounds,
     circle,
     floor_below,
-    half_widths,
-    outline,
     reach_of,
     solids_within,
     stick_ends,
@@ -49,7 +48,7 @@ _SHARES = LinearSegmentedColormap.from_list("share", SHARES)
 def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
     """Draw the robot, the table of its links and the key.
 
-    Bodies that reach too far to leave room for the others are cut off at the edge of the picture.
+    Bodies that reach too far to leave room for the others are cut off at the edge of the picture, which a text names.
     """
     reach = reach_of(bodies)
     bodies = [thickened(body, _THINNEST * reach) for body in bodies]
@@ -57,7 +56,7 @@ def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
     points = np.vstack([stick_ends(bodies), *(solid.centre for solid in solids)])
     view = view_of(points)
     floor, step = floor_below(points, solids)
-    low, high = bounds(view, np.vstack([points, floor.reshape(-1, 3)]), solids)
+    low, high = bounds(view.rotation[:2], np.vstack([points, floor.reshape(-1, 3)]), solids)
     robot, table, key = _layout(high - low, len(bodies))
     axes, inch = _robot_axes(figure, robot, low, high)
     _draw_floor(axes, view, floor)
@@ -69,8 +68,22 @@ def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
         if body.prior.is_finite:
             _draw_prior(axes, view, body)
     _draw_badges(axes, view, bodies, inch)
+    add_text(figure, ROBOT[0], ROBOT[1] + ROBOT[3] + 0.08, _cut_off(axes, view, bodies), 9.0, DOUBT)
     _draw_table(add_area(figure, table), bodies)
     _draw_key(figure, key)
+
+
+def _cut_off(axes: Axes, view: View, bodies: Sequence[BodyDrawing]) -> str:
+    """List the ellipsoids that the edge of the picture cuts off; empty if there are none."""
+    low, high = np.transpose([axes.get_xlim(), axes.get_ylim()])
+    parts = []
+    for number, body in enumerate(bodies, 1):
+        for kind, solid in (("URDF", body.prior), ("identified", body.identified)):
+            centre, half = view.flat(solid.centre), view.half_widths(solid)
+            if np.any((centre - half < low) | (centre + half > high)):
+                reach = written(solid.reach_from(body.origin))
+                parts.append(f"{number} {kind}, reaches {reach} m from its link's frame")
+    return textwrap.shorten(f"Not wholly shown: {'; '.join(parts)}.", 125, placeholder=" …") if parts else ""
 
 
 def _layout(extent: FloatArray, links: int) -> tuple[AxesRectangle, AxesRectangle, AxesRectangle]:
@@ -174,7 +187,7 @@ def _draw_prior(axes: Axes, view: View, body: BodyDrawing) -> None:
     """Draw outline and principal sections of the URDF's ellipsoid."""
     sphere_map = view.sphere_map(body.prior)
     centre = view.flat(body.prior.centre)[:, None]
-    axes.plot(*(centre + outline(sphere_map)), color=URDF, lw=1.1, zorder=1.6)
+    axes.plot(*view.outline(body.prior), color=URDF, lw=1.1, zorder=1.6)
     for k in range(3):
         section = np.delete(sphere_map[:2], k, axis=1) @ circle()
         axes.plot(*(centre + section), color=URDF, lw=0.55, alpha=0.9, zorder=1.6)
@@ -185,8 +198,8 @@ def _draw_badges(axes: Axes, view: View, bodies: Sequence[BodyDrawing], inch: fl
     anchors = [body.identified.centre if body.identified.is_finite else body.origin for body in bodies]
     low, high = np.transpose([axes.get_xlim(), axes.get_ylim()]) / inch
     at = np.clip(view.flat(np.array(anchors)) / inch, low + _BADGE, high - _BADGE)
-    small = [np.max(half_widths(view, body.identified)) < _BADGE * inch for body in bodies]
-    places = _spread(at + np.outer(small, (2.5 * _BADGE, _BADGE)), 2.3 * _BADGE)
+    small = [np.max(view.half_widths(body.identified)) < _BADGE * inch for body in bodies]
+    places = _spread(at + np.outer(small, (2.5 * _BADGE, _BADGE)), 2.3 * _BADGE).clip(low + _BADGE, high - _BADGE)
     for number, (body, anchor, place) in enumerate(zip(bodies, at * inch, places * inch, strict=True), 1):
         if np.linalg.norm(place - anchor) > 0.5 * _BADGE * inch:
             axes.plot(*np.transpose([anchor, place]), color=INK, lw=0.7, zorder=3.0)

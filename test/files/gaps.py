@@ -135,7 +135,6 @@ def _findings(case: Case, joint: str) -> tuple[Finding, ...]:
     ambiguous = case == "ambiguous"
     rivals = (Rival("load_friction", joint, 1.25), Rival("viscous_friction", joint, 3.75)) if ambiguous else ()
     parameters = {"level": Quantity(0.40123, 0.0049, "N m")}
-    sentence = f"The joint {joint} rubs with 0.4 N m whatever its speed."
     settled = f"move {joint} at three constant speeds" if ambiguous else ""
     probability = 0.4 if ambiguous else 0.998
     return (
@@ -150,7 +149,6 @@ def _findings(case: Case, joint: str) -> tuple[Finding, ...]:
             loss=812.0,
             share=0.93,
             was={},
-            sentence=sentence,
             settled_by=settled,
         ),
     )

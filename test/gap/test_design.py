@@ -9,8 +9,9 @@ import pytest
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.evidence.features import Features
-from geomid_ros.gap.evidence.linearised_problem import design_of, term_columns
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, design_of
 from geomid_ros.gap.evidence.noise import Autoregression
+from geomid_ros.gap.evidence.records import TotalModel
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
 from geomid_ros.model.effects.friction import ViscousFriction
@@ -117,8 +118,10 @@ class TestColumns:
         said = {"predicted": self.PREDICTED, "by_gravity": by_gravity, "gravity": np.array([0.0, 0.0, -9.81])}
         unsaid: dict[str, Any] = dict.fromkeys(field.name for field in fields(Situation))
         situation = Situation(**{**unsaid, **said, "coefficients": {}})
-        records: Any = SimpleNamespace(samples=motion)
-        return term_columns(self.MODEL, records, terms, lambda: situation)
+        records: Any = SimpleNamespace(samples=motion, with_shifted_efforts=lambda _: records)
+        problem = LinearisedProblem(self.MODEL, records, TotalModel(np.zeros((0, 10)), (), self.MODEL.robot.gravity))
+        vars(problem)["situation"] = situation
+        return problem.columns((), terms)
 
     def test_a_tilt_reaches_what_gravity_reaches(self) -> None:
         terms = [EffectTerm(GravityTilt(), OnRobot(), index) for index in range(2)]

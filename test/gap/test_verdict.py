@@ -13,9 +13,8 @@ from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.evidence.records import Records
 from geomid_ros.gap.judgement import verdict
-from geomid_ros.gap.judgement.confirmed_changes import _with_sentence
 from geomid_ros.gap.judgement.held_out import locate_residuals, share, strongest
-from geomid_ros.gap.judgement.sentences import sentence, settled_by
+from geomid_ros.gap.judgement.quantities import settled_by
 from geomid_ros.gap.result import Finding, GapResult, ResidualDependence
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.channels import WrenchSensor
@@ -97,6 +96,12 @@ def test_a_wrench_depends_on_load_and_time_alone() -> None:
     assert (found.velocity, found.position, found.reversals) == (0.0, 0.0, 0.0)
 
 
+def finding(effect: str, parameters: dict[str, Quantity], probability: float = 1.0, **place: Any) -> Finding:
+    """A finding without rivals."""
+    rest = {"rivals": (), "separability": 1.0, "loss": 9.0, "share": 1.0, "was": {}, "settled_by": ""}
+    return Finding(effect=effect, parameters=parameters, probability=probability, **rest, **place)
+
+
 FOUND = {"level": Quantity(0.5, 0.01, "N m"), "gain": Quantity(1.25, 0.1, "-")}
 
 
@@ -105,38 +110,25 @@ FOUND = {"level": Quantity(0.5, 0.01, "N m"), "gain": Quantity(1.25, 0.1, "-")}
     [("elbow", "", " at 'elbow'"), ("elbow", "forearm", " at link 'forearm'"), ("", "", "")],
 )
 def test_a_sentence_says_what_where_and_how_much(joint: str, link: str, where: str) -> None:
-    effect = EFFECTS["stribeck_friction"]()
+    sure, likely = (finding("stribeck_friction", FOUND, p, joint=joint, link=link) for p in (1.0, 0.6))
     values = "level 0.5 ± 0.02 N m, gain 1.25 ± 0.2 (95 % interval)."
-    assert sentence(effect, joint, link, FOUND, {}, "confident") == f"Stribeck friction{where}: {values}"
-    assert sentence(effect, joint, link, FOUND, {}, "tentative") == f"Perhaps Stribeck friction{where}: {values}"
+    assert sure.sentence == f"Stribeck friction{where}: {values}"
+    assert likely.sentence == f"Perhaps Stribeck friction{where}: {values}"
 
 
 def test_a_sentence_begins_with_a_capital_and_says_the_first_parameters() -> None:
     found = {name: Quantity(1.0, 0.1, "m") for name in ("mass", "com_x", "com_y", "com_z", "ixx")}
-    text = sentence(PAYLOAD.effect, "wrist", "hand", found, {}, "confident")
+    text = finding("payload", found, joint="wrist", link="hand").sentence
     assert text.startswith("A payload at link 'hand': mass 1 ± 0.2 m,")
     assert "com_z" in text
     assert "ixx" not in text
 
 
-def test_what_is_written_of_a_payload_says_its_first_moment_again_where_no_mass_is_told() -> None:
+def test_a_sentence_on_a_payload_says_its_first_moment_where_no_mass_is_told() -> None:
     names = ["mass", "com_x", "com_y", "com_z"]
-    told = Finding(
-        effect="payload",
-        joint="wrist",
-        link="hand",
-        parameters={name: Quantity(1.0, 2.0, "kg" if name == "mass" else "m") for name in names},
-        probability=1.0,
-        rivals=(),
-        separability=1.0,
-        loss=9.0,
-        share=1.0,
-        was={},
-        sentence="",
-        settled_by="",
-        moment={"m x": Quantity(0.02, 0.001, "kg m")},
-    )
-    assert "m x 0.02 ± 0.002 kg m" in _with_sentence(told).sentence
+    sizes = {name: Quantity(1.0, 2.0, "kg" if name == "mass" else "m") for name in names}
+    moment = {"m x": Quantity(0.02, 0.001, "kg m")}
+    assert "m x 0.02 ± 0.002 kg m" in finding("payload", sizes, joint="wrist", link="hand", moment=moment).sentence
 
 
 def test_what_settles_payloads_at_two_links_is_a_motion_that_turns_both() -> None:

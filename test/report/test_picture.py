@@ -119,6 +119,20 @@ def test_huge_tiny_and_far_bodies_do_not_ruin_the_view(tmp_path: Path) -> None:
     assert is_whole_picture(tmp_path / "p.png")
 
 
+def test_a_body_beyond_the_edge_is_named_with_its_reach() -> None:
+    bodies = chain(3)
+    bodies[1] = replace(bodies[1], identified=replace(bodies[1].identified, centre=np.array([7.0, 0.0, 0.3])))
+    assert "Not wholly shown: 2 identified, reaches 7.14 m from its link's frame." in texts(drawn(bodies, []))
+    assert not any("Not wholly shown" in text for text in texts(drawn(chain(3), [])))
+
+
+def test_reasons_for_doubt_are_below_the_title_and_no_text_shows_an_escaped_line_end() -> None:
+    reasons = ["DOUBTFUL: the total link mass is 10.4 kg.", "DOUBTFUL: " + 60 * "and so on "]
+    figure = identification_figure("title", chain(1), channels(1), 60 * "a note ", reasons)
+    assert any(text.startswith(f"{reasons[0]} DOUBTFUL: and so on") for text in texts(figure))
+    assert not any("\\n" in text or "\n" in text for text in texts(figure))
+
+
 @pytest.mark.parametrize(("low", "high"), [(-0.4, 1.1), (-1.6, 0.9), (0.0, 4.58), (-300.0, -20.0), (1e-4, 2e-3)])
 @pytest.mark.parametrize("most", [2, 5, 7])
 def test_ticks_are_equally_far_apart_within_the_ends_and_zero_has_no_sign(low: float, high: float, most: int) -> None:

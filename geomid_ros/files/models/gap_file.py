@@ -208,7 +208,7 @@ def gap_document(result: GapResult, simulations: Mapping[str, ErrorsByStage]) ->
     return {
         "format": FORMAT,
         **attributes_entry(result, "verdict", "unexplained", "unjudged", "ordinary"),
-        "findings": [to_document(item) | attributes_entry(item, "confidence") for item in result.findings],
+        "findings": [to_document(item) | attributes_entry(item, "confidence", "sentence") for item in result.findings],
         "links": [to_document(item) | attributes_entry(item, "confidence", "sentence") for item in result.links],
         "gap": {kind: by_channel(channels, getattr(gap, kind)) for kind in _KINDS}
         | {"moving": by_channel(channels, result.moving)},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property
 
@@ -29,8 +29,7 @@ def total_model(model: MeasurementModel, found: EffectsFit) -> TotalModel:
     inertias[list(model.identified)] = found.loaded_inertias
     grouped: dict[tuple[Effect, Place], list[float]] = {}
     for term in found.terms:
-        if isinstance(term, EffectTerm):
-            grouped.setdefault((term.effect, term.place), []).append(found.value(term))
+        grouped.setdefault((term.effect, term.place), []).append(found.value(term))
     effects = tuple((effect, place, effect.linearised_at(np.array(own))) for (effect, place), own in grouped.items())
     return TotalModel(inertias, effects, model.robot.gravity)
 
@@ -119,9 +118,15 @@ class LinearisedProblem:
     def columns(
         self, candidates: Sequence[Candidate], base: Sequence[EffectTerm]
     ) -> dict[EffectTerm, dict[int, FloatArray]]:
-        """Columns of all candidates, and of the effects in the model."""
-        terms = dict.fromkeys([*base, *(term for candidate in candidates for term in candidate.terms)])
-        columns = term_columns(self.model, self.records, list(terms), lambda: self.situation)
+        """Columns ``(N,)`` of all candidates, and of the effects in the model, by the channels that they affect."""
+        columns: dict[EffectTerm, dict[int, FloatArray]] = {}
+        for term in dict.fromkeys([*base, *(term for candidate in candidates for term in candidate.terms)]):
+            if isinstance(term.effect, SituationEffect):
+                by_state = term.effect.columns(self.situation, term.place)[:, :, term.index]
+                columns[term] = {channel: column for channel, column in enumerate(by_state.T) if np.any(column)}
+            elif isinstance(term.effect, MotionEffect | SensorEffect):
+                columns[term] = self.model.columns_of(self.records.samples, term.effect, term.place, term.index)
+        self.model.eliminate_ground(self.records.samples, columns.values())
         for channel in np.flatnonzero(self._scales != 1.0).tolist():
             for term, by_channel in columns.items():
                 if channel in by_channel and not term.effect.scales_measurement:
@@ -155,9 +160,12 @@ class LinearisedProblem:
     @property
     def usable_features(self) -> list[Features]:
         """Features by channel; empty for a channel without rows."""
-        nothing = Features(np.zeros((len(self.valid), 0)), np.zeros(0, dtype=np.intp), ())
         pairs = zip(self.features, np.any(self.valid, axis=0), strict=True)
-        return [channel if has_rows else nothing for channel, has_rows in pairs]
+        return [channel if has_rows else self._no_features for channel, has_rows in pairs]
+
+    @property
+    def _no_features(self) -> Features:
+        return Features(np.zeros((len(self.valid), 0)), np.zeros(0, dtype=np.intp), ())
 
     def fit_remainders(
         self,
@@ -183,9 +191,8 @@ class LinearisedProblem:
     def design_alone(self, columns: Columns) -> Design:
         """Return rows without whitening: no remainder, white noise."""
         channels = len(self.model.channels)
-        nothing = Features(np.zeros((len(self.rows.targets), 0)), np.zeros(0, dtype=np.intp), ())
-        white = (Autoregression.white(),) * channels
-        return design_of(self.rows, self.valid, columns, (nothing,) * channels, white, self.records)
+        nothing, white = (self._no_features,) * channels, (Autoregression.white(),) * channels
+        return design_of(self.rows, self.valid, columns, nothing, white, self.records)
 
     def typical_sizes(self, terms: Sequence[EffectTerm]) -> FloatArray:
         """Coefficients ``(terms,)`` at which a column first reaches the measurement in any channel; 0 without columns,
@@ -221,22 +228,6 @@ class LinearisedProblem:
             jacobian = np.column_stack([links, *payloads, *effects])
             variance[:, channel] = np.sum((jacobian @ covariance) * jacobian, axis=1)
         return variance
-
-
-def term_columns(
-    model: MeasurementModel, records: Records, terms: Sequence[EffectTerm], situation: Callable[[], Situation]
-) -> dict[EffectTerm, dict[int, FloatArray]]:
-    """Columns of terms at the chosen rows, by the channels that they affect. The slow ``situation`` is called if
-    needed."""
-    by_term: dict[EffectTerm, dict[int, FloatArray]] = {}
-    for term in terms:
-        if isinstance(term.effect, SituationEffect):
-            columns = term.effect.columns(situation(), term.place)[:, :, term.index]
-            by_term[term] = {channel: column for channel, column in enumerate(columns.T) if np.any(column)}
-        elif isinstance(term.effect, MotionEffect | SensorEffect):
-            by_term[term] = model.columns_of(records.samples, term.effect, term.place, term.index)
-    model.eliminate_ground(records.samples, by_term.values())
-    return by_term
 
 
 def mean_of(features: Sequence[Features], lacks: Sequence[RemainderFit]) -> FloatArray:

@@ -1,1 +1,1 @@
-"""Certainty of each named effect: held-out data, location of the gap, verdict and its sentences."""
+"""Certainty of each named effect: held-out data, location of the gap, sizes and verdict."""

@@ -15,7 +15,7 @@ from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPrior, EffectTerm
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.records import Records, TotalModel
-from geomid_ros.gap.judgement import sentences
+from geomid_ros.gap.judgement import quantities
 from geomid_ros.gap.judgement.verdict import probability_by_size, widened_by_remainder, with_given_stds
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.geometry.definite import Packed
@@ -29,8 +29,6 @@ from geomid_ros.model.effects import (
     MotionEffect,
     ParameterForm,
     Quantity,
-    effect_class,
-    joints_of,
 )
 from geomid_ros.model.effects.effect import LoadEffect
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -127,7 +125,7 @@ class _Refit:
         """Total model without unsure effects: columns linearised at a delay that does not exist are wrong."""
         total = total_model(self.model, self.analysis.effects)
         kept = {*self.analysis.search.prior.terms, *(term for candidate in sure for term in candidate.terms)}
-        places = {(term.effect, term.place) for term in kept if isinstance(term, EffectTerm)}
+        places = {(term.effect, term.place) for term in kept}
         return replace(total, effects=tuple(item for item in total.effects if item[:2] in places))
 
     def _to_drop(self, joint_fit: EffectsFit, ordinary: Collection[Candidate]) -> Candidate | None:
@@ -196,7 +194,7 @@ def _with_ordinary(
 
 def _known(model: MeasurementModel, joint_fit: EffectsFit, candidate: Candidate) -> KnownEffect:
     """Effect in the form of files."""
-    parameters = sentences.parameters(model, joint_fit, candidate)
+    parameters = quantities.parameters(model, joint_fit, candidate)
     return KnownEffect(candidate.name, model.places.name(candidate.place), "", parameters)
 
 
@@ -217,23 +215,15 @@ def _findings_as_written(
         if finding.confidence != "confident":
             yield finding
         elif candidate in joint_fit.chosen:
-            load = analysis.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
-            parameters = sentences.parameters(model, joint_fit, candidate, usual_load=load)
+            parameters = quantities.parameters(model, joint_fit, candidate, usual_load=analysis.usual_load(candidate))
             widened = widened_by_remainder(analysis, candidate, parameters, finding.was)
             sized = {**finding.parameters, **candidate.effect.sizes(widened)}
             listed = analysis.search.prior.identified and finding.moment  # in a URDF the links' are as uncertain
-            moment = sentences.first_moment(joint_fit, candidate) if listed else {}
+            moment = quantities.first_moment(joint_fit, candidate) if listed else {}
             probability = min(finding.probability, probability_by_size(candidate, moment or parameters, finding.was))
-            yield _with_sentence(replace(finding, parameters=sized, moment=moment, probability=probability))
+            yield replace(finding, parameters=sized, moment=moment, probability=probability)
         else:
-            yield _with_sentence(replace(finding, probability=finding.probability * unsure))
-
-
-def _with_sentence(finding: Finding) -> Finding:
-    effect = effect_class(finding.effect)()
-    sizes = finding.parameters, finding.was, finding.confidence
-    text = sentences.sentence(effect, finding.joint, finding.link, *sizes, moment=finding.moment)
-    return replace(finding, sentence=text)
+            yield replace(finding, probability=finding.probability * unsure)
 
 
 def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, joint_fit: EffectsFit) -> LinkChange:
@@ -251,8 +241,8 @@ def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, j
     return replace(sized, probability=min(link.probability, probability_of_square(sized.squared_significance)))
 
 
-def _all_moved(quantities: Mapping[str, Quantity], values: FloatArray) -> dict[str, Quantity]:
-    return {name: _moved(q, value) for (name, q), value in zip(quantities.items(), values.tolist(), strict=False)}
+def _all_moved(sizes: Mapping[str, Quantity], values: FloatArray) -> dict[str, Quantity]:
+    return {name: _moved(q, value) for (name, q), value in zip(sizes.items(), values.tolist(), strict=False)}
 
 
 def _moved(quantity: Quantity, value: float) -> Quantity:
@@ -266,10 +256,10 @@ def folded(problem: LinearisedProblem, found: EffectsFit) -> dict[tuple[str, str
     Linear friction that was found together with quadratic friction is wrong without it. So the file has the
     least-squares fit of its kinds to all friction that was found, over the fitted motion; all else is as found.
     """
-    terms = [term for term in found.terms if isinstance(term, EffectTerm) and _is_of_one_joint(term)]
+    terms = [term for term in found.terms if isinstance(term.effect, MotionEffect | LoadEffect)]
     corrections: dict[tuple[str, str], float] = {}
     for joint, name in enumerate(problem.model.robot.joint_names):
-        of_joint = [term for term in terms if joints_of(term.place) == (joint,)]
+        of_joint = [term for term in terms if term.joints == (joint,)]
         stored, others = [t for t in of_joint if _form(t).urdf], [t for t in of_joint if _is_unrepresentable(t)]
         if stored and others:
             changes = _changes(problem, found, joint, stored, others)
@@ -292,10 +282,6 @@ def _changes(
     least, _ = nnls(stacked[:, : len(stored)], stacked @ values)
     changes: list[float] = (least - values[: len(stored)]).tolist()
     return changes
-
-
-def _is_of_one_joint(term: EffectTerm) -> bool:
-    return isinstance(term.effect, MotionEffect | LoadEffect) and len(joints_of(term.place)) == 1
 
 
 def _form(term: EffectTerm) -> ParameterForm:

@@ -26,13 +26,20 @@ class HeldOut:
     """Residuals of an ``analysis``'s fits on held-out ``records``, at samples at which the last fit may be blamed."""
 
     def __init__(self, model: MeasurementModel, records: Records, analysis: Analysis) -> None:
-        self._model = model
-        self._records = records
-        self._prior = analysis.search.prior
-        self._analysis = analysis
+        self._model, self._records, self._analysis = model, records, analysis
         self._last = self._problem(analysis.effects)
-        self._untouched = fit_of_prior(analysis.search.prior)
-        self._residuals: dict[EffectsFit, FloatArray] = {}
+
+    def _problem(self, fit: EffectsFit) -> LinearisedProblem:
+        total, standing = total_model(self._model, fit), self._analysis.problem.known_remainder
+        return LinearisedProblem(self._model, self._records, total, self._analysis.floor, standing)
+
+    @cached_property
+    def _residuals(self) -> list[FloatArray]:
+        """Residuals ``(N, C)`` of the given model, of the one with fitted inertias only, and of the last fit."""
+        prior, names = self._analysis.search.prior, self._analysis.effects
+        fits = (fit_of_prior(prior), self._analysis.inertias_only, names)
+        pairs = ((fit, self._last if fit is names else self._problem(fit)) for fit in fits)
+        return [problem.residual(problem.columns(fit.chosen, prior.terms), fit) for fit, problem in pairs]
 
     @cached_property
     def gap(self) -> GapErrors:
@@ -41,10 +48,9 @@ class HeldOut:
         The known remainder of the model may differ now by the default std, which is no gap.
         """
         names = self._analysis.effects
-        variance = self._last.variance(self._last.columns(names.chosen, self._prior.terms), names)
+        variance = self._last.variance(self._last.columns(names.chosen, self._analysis.search.prior.terms), names)
         uncertainty = self._times_floor(np.sqrt(variance))
-        fits = (self._untouched, self._analysis.inertias_only, names)
-        before, bare, after = (self.times_floor(fit) for fit in fits)
+        before, bare, after = map(self._times_floor, self._residuals)
         blocks = (len(rows.depends_on) if rows.mean is not None else 0 for rows in self._analysis.problem.features)
         return GapErrors(before, bare, after, np.sqrt(1.0 + uncertainty**2 + DEFAULT_VARIANCE * np.array([*blocks])))
 
@@ -62,7 +68,7 @@ class HeldOut:
         remainder and without: it may not hold for another motion."""
         # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
         limit = GAP_ABOVE * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) * self.gap.expected
-        without_standing = self._times_floor(self._residual(self._analysis.effects) - self._last.expected_remainder)
+        without_standing = self._times_floor(self._residuals[-1] - self._last.expected_remainder)
         after = np.minimum(self.gap.after, without_standing)
         return np.asarray(np.nan_to_num(after) >= np.nan_to_num(limit, nan=np.inf))
 
@@ -76,8 +82,7 @@ class HeldOut:
     def trace(self) -> Trace:
         """Measured values and predictions."""
         samples, measured = self._records.samples, self._records.rows(self._model).targets
-        fits = (self._untouched, self._analysis.inertias_only, self._analysis.effects)
-        before, middle, after = (measured - self._residual(fit) for fit in fits)
+        before, middle, after = (measured - residual for residual in self._residuals)
         return Trace(
             stamps=samples.stamps,
             position=samples.position,
@@ -92,7 +97,7 @@ class HeldOut:
     @cached_property
     def residual_dependences(self) -> tuple[ResidualDependence, ...]:
         """Variables that explain each channel's remainder."""
-        residual = np.where(self._last.valid, self._residual(self._analysis.effects), np.nan)
+        residual = np.where(self._last.valid, self._residuals[-1], np.nan)
         return locate_residuals(self._model, self._records, residual, self.trace.load)
 
     @cached_property
@@ -100,21 +105,8 @@ class HeldOut:
         """Number of independent samples of each channel ``(C,)``."""
         return np.asarray(np.sum(self._last.valid, axis=0, dtype=np.float64))
 
-    def times_floor(self, found: EffectsFit) -> FloatArray:
-        """Residual RMS of a fit ``(C,)``, in units of the floor; NaN where nothing is measured."""
-        return self._times_floor(self._residual(found))
-
-    def _problem(self, fit: EffectsFit) -> LinearisedProblem:
-        total, standing = total_model(self._model, fit), self._analysis.problem.known_remainder
-        return LinearisedProblem(self._model, self._records, total, self._analysis.floor, standing)
-
-    def _residual(self, fit: EffectsFit) -> FloatArray:
-        if fit not in self._residuals:
-            problem = self._last if fit is self._analysis.effects else self._problem(fit)
-            self._residuals[fit] = problem.residual(problem.columns(fit.chosen, self._prior.terms), fit)
-        return self._residuals[fit]
-
     def _times_floor(self, residual: FloatArray) -> FloatArray:
+        """RMS of a ``residual (N, C)`` in units of the floor ``(C,)``; NaN where nothing is measured."""
         squares = np.sum(np.where(self._last.valid, residual, 0.0) ** 2, axis=0)
         counts = np.where(self.counts > 0.0, self.counts, np.nan)
         return np.asarray(np.sqrt(squares / counts) / self._analysis.floor)

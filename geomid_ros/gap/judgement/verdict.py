@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.estimation.estimate import is_significant
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import ODDS, Candidate, EffectsFit, EffectsPrior
-from geomid_ros.gap.judgement import sentences
+from geomid_ros.gap.judgement import quantities
 from geomid_ros.gap.judgement.held_out import HeldOut, strongest
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import fit, scattered
@@ -37,14 +37,14 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     without = search.without(names, candidate)
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
     joint, link = model.places.name(candidate.place), model.places.link(candidate.place)
-    load = analysis.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
-    parameters = sentences.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
-    was = sentences.known_before(model, search.prior, candidate, load)
+    load = analysis.usual_load(candidate)
+    parameters = quantities.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
+    was = quantities.known_before(model, search.prior, candidate, load)
     parameters = widened_by_remainder(analysis, candidate, parameters, was)
-    moment = sentences.first_moment(sized, candidate)
+    moment = quantities.first_moment(sized, candidate)
     if not any(map(_is_significant, moment.values())) or _is_significant(parameters["mass"]):
         moment = {}
-    confidence = confidence_of(support.probability)
+    unsure = confidence_of(support.probability) != "confident"
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals]
     return Finding(
         effect=candidate.name,
@@ -57,8 +57,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         loss=support.loss,
         share=_share(analysis, candidate),
         was=was,
-        sentence=sentences.sentence(candidate.effect, joint, link, parameters, was, confidence, moment=moment),
-        settled_by=sentences.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
+        settled_by=quantities.settled_by(candidate.effect, joint, close) if unsure else "",
         moment=moment,
     )
 
@@ -174,26 +173,25 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
     prior = with_given_stds(search.prior, names.inflation)
     free = fit(search.design, prior, names.chosen, names, names.prior_stds).score
     for link, was in enumerate(nominal):
-        change = names.inertias[link] - was
+        change, is_changed_link = names.inertias[link] - was, link == search.prior.changed_link
+        if abs(change[0]) < _LEAST * was[0] and not is_changed_link:
+            continue
+        if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # no link has more mass than the robot, nor has a payload
+            continue
         doubt = relative_std_from_remainder(search.design, names, link, change)
         std = np.hypot(stds[10 * link : 10 * link + 10], doubt * change)
         deviations, moment, centre = (change / std)[:1], {}, {}
-        if abs(change[0]) < _LEAST * was[0] or link == search.prior.changed_link:
-            if link != search.prior.changed_link:
-                continue
-            if abs(deviations[0]) < np.max(np.abs(change / std)[1:4]):
-                deviations, moment = (change / std)[1:4], sentences.moment_of(change[1:4], std[1:4])
+        if is_changed_link and abs(deviations[0]) < np.max(np.abs(change / std)[1:4]):
+            deviations, moment = (change / std)[1:4], quantities.moment_of(change[1:4], std[1:4])
         if search.prior.identified and not moment:
             rows = slice(10 * link, 10 * link + 4)
             centre = _centre(change, covariance[rows, rows])
-        if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # no link has more mass than the robot, nor has a payload
-            continue
         prior_stds = names.prior_stds.copy()
         prior_stds[link] = _HELD * search.prior.prior_std
         loss = fit(search.design, prior, names.chosen, names, prior_stds).score - free
         # The link may have changed without its mass.
         odds_against = np.exp(-0.5 * min(loss, float(np.max(deviations**2)), 1e3)) / ODDS
-        odds_against += analysis.contested if link == search.prior.changed_link else 0.0
+        odds_against += analysis.contested if is_changed_link else 0.0
         probability = float(1.0 / (1.0 + odds_against))
         if probability >= LIKELY:
             body = model.robot.bodies[model.identified[link]]

@@ -1,24 +1,19 @@
-"""From coefficients to the user's text: parameters with units, sentences, and recordings that settle an ambiguity."""
+"""From coefficients to parameters with units and standard deviations; and recordings that settle an ambiguity."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 
 import numpy as np
 
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.gap.candidates import Candidate, EffectsFit, EffectsPrior
-from geomid_ros.gap.result import Confidence
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.effects import AtSensor, Effect, Quantity, Values
 from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
-
-_NOTHING: Mapping[str, Quantity] = {}
-_BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of several explanations: "}
 
 
 def parameters(
@@ -27,7 +22,9 @@ def parameters(
     """Parameters of a candidate with their standard deviations. ``log_std``: that of the logarithm of the grid
     constant. ``usual_load``: standard deviation of the joint's rigid-body load [N m or N]."""
     if candidate.payload is not None:
-        return _of_payload(found, candidate.effect, candidate.payload)
+        body, spread = _payload(found, candidate.payload)
+        stds = np.sqrt(np.maximum(np.diag(spread), 0.0))
+        return quantities(candidate.effect.parameters, zip(body, stds, strict=True))
     values = np.array([found.value(term) for term in candidate.terms])
     places = [found.place(term) for term in candidate.terms]
     covariance = found.covariance[np.ix_(places, places)]
@@ -39,13 +36,8 @@ def known_before(model: MeasurementModel, prior: EffectsPrior, candidate: Candid
     if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
         return {}
     values = np.array([prior.value(term) for term in candidate.terms])
-    quantities_before = _quantities(model, candidate, values, np.diag(np.zeros(len(values))), 0.0, usual_load)
-    return {name: quantity.value for name, quantity in quantities_before.items()}
-
-
-def _of_payload(fit: EffectsFit, effect: Effect, link: int) -> dict[str, Quantity]:
-    values, covariance = _payload(fit, link)
-    return quantities(effect.parameters, zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
+    before = _quantities(model, candidate, values, np.zeros((len(values), len(values))), 0.0, usual_load)
+    return {name: quantity.value for name, quantity in before.items()}
 
 
 def _payload(fit: EffectsFit, link: int) -> tuple[FloatArray, FloatArray]:
@@ -95,35 +87,6 @@ def _quantities(
     forms = {form.name: form for form in effect.column_parameters}
     measured = [forms[model.channels[channel].axis] for channel in place.channels]
     return quantities(measured, zip(values, np.sqrt(np.diag(covariance)), strict=True))
-
-
-def sentence(
-    effect: Effect,
-    joint: str,
-    link: str,
-    found: Mapping[str, Quantity],
-    was: Values,
-    confidence: Confidence,
-    moment: Mapping[str, Quantity] = _NOTHING,
-) -> str:
-    """Describe a finding with 95 % intervals and the former values ``was``; for a payload with the ``moment`` instead,
-    if its mass is not identified."""
-    where = f" at link '{link}'" if link else f" at '{joint}'" if joint else ""
-    untold = ""
-    if moment:
-        untold = f"; this motion does not identify its mass: {_said(found['mass'])}"
-        found, was = moment, {}
-    terms = [
-        f"{name} {_said(q)}" + (f" instead of {was[name]:.4g}" if name in was else "")
-        for name, q in list(found.items())[: effect.stated_parameter_count]
-    ]
-    qualifier, text = _BEFORE[confidence], f"{effect.label}{where}: {', '.join(terms)} (95 % interval){untold}."
-    return qualifier + text if qualifier else text[0].upper() + text[1:]
-
-
-def _said(quantity: Quantity) -> str:
-    unit = "" if quantity.unit == "-" else f" {quantity.unit}"
-    return f"{quantity.value:.4g} ± {STDS_OF_95 * quantity.std:.2g}{unit}"
 
 
 def settled_by(effect: Effect, joint: str, rivals: Collection[tuple[Effect, str]]) -> str:
