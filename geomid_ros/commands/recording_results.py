@@ -203,7 +203,7 @@ def _print_file(console: Console, file: FileTest) -> None:
 def _findings_table(result: GapResult) -> Table:
     table = plain_table("Findings (confident ones are in the written model)", ["effect", "where"])
     table.add_column("parameter", no_wrap=True)
-    number_columns(table, ["value"])
+    table.add_column("value", justify="right", no_wrap=True)
     table.add_column("probability", no_wrap=True)
     number_columns(table, ["closes"])
     for finding in result.findings:

@@ -181,12 +181,12 @@ def common_effects(result: GapResult) -> list[str]:
 
 
 def summary(result: GapResult) -> list[str]:
-    """Summarise the result in at most four sentences after the verdict: sure effects with their sizes, possible
-    effects, the unexplained remainder, and the next recording."""
+    """Summarise the result in at most five sentences after the verdict: sure and possible effects with their sizes,
+    effects that have rivals as likely, the unexplained remainder, and the next recording."""
     gains = _common_gain(result)
     named: list[Finding | LinkChange] = [*(f for f in result.findings if f not in gains), *result.links]
     named.sort(key=lambda part: -part.loss)
-    lines = [(part.confidence, _sized(part) if isinstance(part, Finding) else part.sentence) for part in named]
+    lines = [(part.confidence, _described(part)) for part in named]
     if gains:
         sure = all(finding.confidence == "confident" for finding in gains)
         low, *_, high = sorted(finding.parameters["gain"].value for finding in gains)
@@ -196,7 +196,8 @@ def summary(result: GapResult) -> list[str]:
     record = next_recordings(result)
     sentences = {
         "Sure": _few([phrase for confidence, phrase in lines if confidence == "confident"]),
-        "Possible": _few([phrase for confidence, phrase in lines if confidence != "confident"]),
+        "Possible": _few([phrase for confidence, phrase in lines if confidence == "tentative"]),
+        "Ambiguous": _few([phrase for confidence, phrase in lines if confidence == "ambiguous"]),
         "Unexplained": "; ".join(rest),
         "Record next": f"{record[0]}{_more(len(record) - 1)}" if record else "",
     }
@@ -213,6 +214,15 @@ def _common_gain(result: GapResult) -> list[Finding]:
     values, weights = np.array([gain.value for gain in gains]), 1.0 / np.square([gain.std for gain in gains])
     deviations = np.abs(values - np.average(values, weights=weights)) * np.sqrt(weights)
     return list(by_joint.values()) if np.all(deviations < SIGNIFICANT_STDS) else []
+
+
+def _described(part: Finding | LinkChange) -> str:
+    """Describe an effect with its size, or with its rivals if these are as likely; or a changed link."""
+    if isinstance(part, LinkChange):
+        return part.sentence
+    if part.confidence != "ambiguous":
+        return _sized(part)
+    return " or ".join(map(title, (part, *part.rivals[:MOST_LISTED])))
 
 
 def _few(parts: Sequence[str]) -> str:
@@ -249,7 +259,8 @@ def _named(result: GapResult) -> str:
     """List each effect once with all its places, or of many effects the most certain ones; and the changed links."""
     findings, changed = result.findings, [f"a change of link '{change.link}'" for change in result.links]
     if len(findings) > MOST_LISTED:
-        first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:MOST_LISTED]]
+        surest = sorted(findings, key=lambda finding: -finding.probability)[:MOST_LISTED]
+        first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in surest]
         return _listed([f"{len(findings)} effects, most certainly {_listed(first)}", *changed])
     places: dict[str, list[str]] = {}
     for finding in findings:

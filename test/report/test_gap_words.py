@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from files.gaps import gap_result
 
-from geomid_ros.gap.result import LinkChange
+from geomid_ros.gap.result import LinkChange, Rival
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_words import (
     interval,
@@ -55,6 +55,18 @@ def test_of_many_findings_the_surest_are_named() -> None:
     many = replace(result, findings=(finding, *(replace(finding, joint=f"toe{k}") for k in range(5))))
     first = "Coulomb friction at knee, Coulomb friction at toe0 and Coulomb friction at toe1"
     assert verdict_sentence(many).startswith(f"Found: 6 effects, most certainly {first}. With them, ")
+    unsure = replace(many, findings=(replace(finding, joint="heel", probability=0.05), *many.findings))
+    assert verdict_sentence(unsure).startswith(f"Found: 7 effects, most certainly {first}. With them, ")
+
+
+def test_an_effect_with_likely_rivals_stands_with_them_not_with_its_size() -> None:
+    result = gap_result("named", JOINTS)
+    finding = result.findings[0]
+    rival = Rival("effort_gain", "hip", -2.0)
+    found = replace(result, findings=(finding, replace(finding, joint="hip", probability=0.3, rivals=(rival,))))
+    sentences = summary(found)
+    assert sentences[0].startswith("Sure: Coulomb friction at knee ")
+    assert sentences[1] == "Ambiguous: Coulomb friction at hip or Effort gain at hip."
 
 
 def test_links_that_changed_are_named() -> None:
