@@ -208,7 +208,7 @@ class Saving:
         from geomid_ros.session.gap import identified_session, remainder_in_messages  # noqa: PLC0415 a third of the start
 
         try:
-            messages = worker.messages()  # all of them, as the estimate is, even if a gap is open
+            messages = worker.session.recent.entries()  # all of them, as the estimate is, even if a gap is open
             remainder = remainder_in_messages(identified_session(worker.session, estimate), messages)
             with self._one_at_a_time:
                 if remainder is not None and self._saved is estimate:

@@ -99,7 +99,7 @@ class Diagnostics:
     def _without_rows(self, status: Status, new: Status) -> list[str]:
         """Complain if accepted messages have yielded no rows for longer than the filter needs."""
         accepted = [topic for topic, account in new.accounts.items() if account.accepted > 0]
-        barren = status.active and bool(accepted) and status.rows_made == self._before.rows_made
+        barren = status.active and bool(accepted) and new.rows_made == 0
         self._barren = self._barren + 1 if barren else 0
         if self._barren <= _LONGEST_BARREN + 2.0 * status.lag:
             return []

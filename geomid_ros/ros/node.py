@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -22,7 +21,7 @@ from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.searches import NO_DATA, BackgroundSearch, PayloadSearch, look_for_gap
 from geomid_ros.live.solving_process import SolvingProcess
-from geomid_ros.live.status import Status
+from geomid_ros.live.status import Failures, Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, StatusEvents
@@ -35,7 +34,7 @@ from geomid_ros.ros.startup import starting_ros
 from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.decoding import read_without_rosbags
-from geomid_ros.signals.ledger import Ledger, count_reason
+from geomid_ros.signals.ledger import Ledger
 
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
@@ -83,7 +82,7 @@ class GeomidNode(Managed, Node):
         self._dashboard: DashboardProcess | None = None
         self._urdf = ""  # latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
-        self._failures: Counter[str] = Counter()
+        self._failures = Failures()
         self._supervisor = Supervisor(self._configuration, self._ledger, self._console, self._outputs, solving)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -275,9 +274,7 @@ class GeomidNode(Managed, Node):
 
     def fail(self, what: str, error: Exception) -> None:
         """Report an exception in the log and the next diagnostics."""
-        sentence = f"{what}: {type(error).__name__}: {error}"
-        count_reason(self._failures, sentence)
-        self._console.error(sentence)
+        self._console.error(self._failures.add(what, error))
 
     def _publish_diagnostics(self) -> None:
         self._supervisor.lock_absent_joints()
@@ -296,7 +293,7 @@ class GeomidNode(Managed, Node):
             status,
             problems=tuple(filter(None, problems)),
             warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
-            failures=self._failures + status.failures,
+            failures=self._failures.counts + status.failures,
             accounts=self._ledger.topics,
             configured=self._configured,
         )
