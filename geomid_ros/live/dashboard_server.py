@@ -9,9 +9,9 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
-from collections.abc import Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from datetime import timedelta
-from typing import Any
 
 from tornado.httpserver import HTTPServer
 from tornado.iostream import StreamClosedError
@@ -109,14 +109,13 @@ def _bound(port: int | None) -> list[socket.socket]:
         raise InputError(f"port {port} of {ADDRESS} is not available ({error.strerror}); use another --port") from error
 
 
-async def serve(node: str, port: int | None, begin: Callable[[Board, str], Any], stop: asyncio.Event) -> None:
-    """Serve the page until ``stop`` is set.
+@asynccontextmanager
+async def served_board(node: str, port: int | None) -> AsyncIterator[tuple[Board, str]]:
+    """Serve the page inside the context, which is given its board and its address.
 
     Args:
         node: name of the node that is shown.
         port: port to serve on; None: the default port, or any free port if that is taken.
-        begin: called with the board and the page's address, before the first request.
-        stop: ends the server.
 
     Raises:
         InputError: the port is taken.
@@ -129,7 +128,8 @@ async def serve(node: str, port: int | None, begin: Callable[[Board, str], Any],
     server = HTTPServer(application, max_body_size=_MOST_BODY, idle_connection_timeout=60.0)
     sockets = _bound(port)
     server.add_sockets(sockets)
-    begin(board, f"http://{ADDRESS}:{sockets[0].getsockname()[1]}")
-    await stop.wait()
-    server.stop()
-    await server.close_all_connections()
+    try:
+        yield board, f"http://{ADDRESS}:{sockets[0].getsockname()[1]}"
+    finally:
+        server.stop()
+        await server.close_all_connections()

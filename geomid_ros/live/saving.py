@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder, Restored
+from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
@@ -55,7 +55,7 @@ class Checkpoints:
     def __init__(self, session: Session, folder: Path, period: float) -> None:
         """Restore the checkpoint in the folder, if there is one, and begin to write new ones.
 
-        The caller, who has the ledger, restores the accounts of that checkpoint (:attr:`restored`).
+        The caller, who has the ledger, restores the accounts of that checkpoint.
 
         Args:
             session: not in use yet.
@@ -65,7 +65,11 @@ class Checkpoints:
         self._session = session
         self._period = period
         self._problem = ""
-        self._restored = Restored()
+        self.restored: Checkpoint | None = None
+        """Checkpoint that the session was resumed from; None if there was none."""
+        self.beginning = ""
+        """Sentence on how the session began; empty if the folder was empty."""
+        self._unusable: tuple[str, ...] = ()  # sentences on files that could not be restored
         self._rows = 0  # in the last checkpoint
         self._written = 0
         self._seconds = 0.0  # duration of the last checkpoint
@@ -77,29 +81,20 @@ class Checkpoints:
         except GeomidError as error:
             self._problem = str(error)
             return
-        self._restored = disk.restore(session.restore)
+        start = disk.restore(session.restore)
+        self.restored, self._unusable = start.checkpoint, start.problems
+        began = ["started without rows"] if self._unusable else []
+        if self.restored is not None:
+            began = [f"resumed from checkpoint {self.restored.number} with {self.restored.memory.summary.rows} rows"]
+        self.beginning = "; ".join([*began, *self._unusable])
         self._rows = session.identifier.rows
         self._thread = start_daemon("checkpoints", self._write_repeatedly, disk)
-
-    @property
-    def restored(self) -> Checkpoint | None:
-        """Checkpoint that the session was resumed from; None if there was none."""
-        return self._restored.checkpoint
 
     def close(self) -> None:
         """Write a last checkpoint, unless that takes long, and end."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
-
-    @property
-    def beginning(self) -> str:
-        """Sentence on how the session began; empty if the folder was empty."""
-        start = self._restored
-        if start.checkpoint is None:
-            return "; ".join(["started without rows", *start.problems]) if start.problems else ""
-        resumed = f"resumed from checkpoint {start.checkpoint.number} with {start.checkpoint.memory.summary.rows} rows"
-        return "; ".join([resumed, *start.problems])
 
     @property
     def status(self) -> CheckpointStatus:
@@ -111,8 +106,8 @@ class Checkpoints:
             "seconds": self._seconds,
         }
         error, warning = self._problem or self._slowness, ""
-        if self._restored.problems and not self._written:
-            if self._restored.checkpoint is None:
+        if self._unusable and not self._written:
+            if self.restored is None:
                 error = error or self.beginning
             else:
                 warning = self.beginning
@@ -152,22 +147,6 @@ class Checkpoints:
         self._seconds = time.monotonic() - begin
 
 
-class _OneAnswer:
-    """Passes on the first of several answers."""
-
-    def __init__(self, done: Callable[[SaveOutcome], None]) -> None:
-        self._done = done
-        self._lock = threading.Lock()
-        self.given = False
-
-    def __call__(self, answer: SaveOutcome) -> None:
-        with self._lock:
-            if self.given:
-                return
-            self.given = True
-        self._done(answer)
-
-
 class Saving:
     """Saves estimates into a folder."""
 
@@ -177,7 +156,7 @@ class Saving:
         self._activity = Activity()
         self._problem = ""
         self._saved: Estimate | None = None
-        self._remainder: tuple[Estimate, KnownRemainder] | None = None  # latest, and its estimate
+        self._remainder: KnownRemainder | None = None  # of the saved estimate, once it is computed
         self._one_at_a_time = threading.Lock()
 
     @property
@@ -200,7 +179,7 @@ class Saving:
     def _save_whole(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[SaveOutcome], None]) -> None:
         answer = self._save(worker.session, result)
         done(answer)
-        if isinstance(result, Estimate) and answer[0] and self._remainder_of(result) is None:
+        if isinstance(result, Estimate) and answer[0] and self._remainder is None:
             self._save_remainder(worker, result)
 
     def _save_remainder(self, worker: Worker, estimate: Estimate) -> None:
@@ -208,17 +187,14 @@ class Saving:
         from geomid_ros.session.gap import identified_session, remainder_in_messages  # noqa: PLC0415 a third of the start
 
         try:
-            messages = worker.session.recent.entries()  # all of them, as the estimate is, even if a gap is open
+            messages = worker.messages()  # all of them, as the estimate is, even if a gap is open
             remainder = remainder_in_messages(identified_session(worker.session, estimate), messages)
             with self._one_at_a_time:
                 if remainder is not None and self._saved is estimate:
-                    self._remainder = estimate, remainder
+                    self._remainder = remainder
                     write_posterior(self._folder / POSTERIOR, estimate.posterior, remainder)
         except Exception as error:  # noqa: BLE001 as below
             self._problem = f"the remainder could not be saved: {error}"
-
-    def _remainder_of(self, estimate: Estimate) -> KnownRemainder | None:
-        return self._remainder[1] if self._remainder is not None and self._remainder[0] is estimate else None
 
     def begin_when_solved(self, worker: Worker, done: Callable[[SaveOutcome], None]) -> None:
         """Save an estimate from all data so far, in threads; the last estimate if that takes long to solve.
@@ -227,12 +203,17 @@ class Saving:
             worker: the source of the estimate.
             done: called once, within five seconds, with True if that succeeded, and a sentence.
         """
-        answer = _OneAnswer(done)
+        answered = threading.Lock()  # never released
+
+        def answer(outcome: SaveOutcome) -> None:
+            if answered.acquire(blocking=False):
+                done(outcome)
+
         worker.request_estimate(lambda result: self.begin(worker, result, answer))
 
         def save_last() -> None:
             last = worker.estimate
-            if answer.given:
+            if answered.locked():
                 return
             if last is None:
                 answer((False, f"{NOT_YET}: the first one takes more than {_LATE:g} s; ask again later"))
@@ -257,9 +238,10 @@ class Saving:
         with self._one_at_a_time, self._activity.doing("saving"):
             try:
                 files = save(session, self._folder, result)
-                if (remainder := self._remainder_of(result)) is not None:
-                    write_posterior(self._folder / POSTERIOR, result.posterior, remainder)
-                self._saved = result
+                if self._saved is not result:
+                    self._saved, self._remainder = result, None
+                if self._remainder is not None:
+                    write_posterior(self._folder / POSTERIOR, result.posterior, self._remainder)
             except Exception as error:  # noqa: BLE001 the caller must have an answer
                 self._problem = f"the estimate could not be saved: {error}"
                 return False, str(error)

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.errors import InputError
@@ -29,19 +29,7 @@ from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages
 _PATIENCE = 0.2  # [s] for a search to notice that it was closed
 
 
-class SearchResult(Protocol):
-    """Result of a search."""
-
-    @property
-    def sentence(self) -> str:
-        """Summary in one sentence."""
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """Complete result, for JSON."""
-
-
-R = TypeVar("R", bound=SearchResult)
+R = TypeVar("R", bound="FoundGap | Payload")
 
 
 @dataclass(frozen=True)

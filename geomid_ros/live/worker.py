@@ -93,6 +93,10 @@ class Worker:
         begin = max((opened + _TRANSITION for opened, _ in self.solver.detector.changes), default=0)
         return [later for block in self.session.recent.entries() if len(later := block.since(begin))]
 
+    def messages(self) -> list[AcceptedMessages]:
+        """Return all remembered messages."""
+        return self.session.recent.entries()
+
     def messages_before_gap(self) -> list[AcceptedMessages]:
         """Return the remembered messages from before the first open gap (or payload); all of them if there is none."""
         opened = [since for since, _ in self.solver.detector.changes]
