@@ -39,10 +39,11 @@ SaveOutcome: TypeAlias = tuple[bool, str]
 
 @dataclass(frozen=True)
 class CheckpointStatus:
-    """State of the checkpoints: an ``error`` or a ``warning`` if anything is wrong, and ``values`` for diagnostics."""
+    """State of the checkpoints: a sentence on a ``problem``, whether it ``is_error`` or a warning, and ``values`` for
+    diagnostics."""
 
-    error: str = ""
-    warning: str = ""
+    problem: str = ""
+    is_error: bool = False
     values: dict[str, object] = field(default_factory=dict)
 
 
@@ -105,13 +106,9 @@ class Checkpoints:
             "rows": self._rows,
             "seconds": self._seconds,
         }
-        error, warning = self._problem or self._slowness, ""
-        if self._unusable and not self._written:
-            if self.restored is None:
-                error = error or self.beginning
-            else:
-                warning = self.beginning
-        return CheckpointStatus(error, warning, values)
+        error = self._problem or self._slowness
+        doubt = self.beginning if self._unusable and not self._written else ""
+        return CheckpointStatus(error or doubt, bool(error) or self.restored is None, values)
 
     @property
     def _slowness(self) -> str:

@@ -218,19 +218,14 @@ class PayloadSearch:
         loaded = [later for block in worker.recent_messages() if len(later := block.since(begin))]
         if not loaded:
             return False, "no data since the motion without the payload"
-        live, empty = worker.session, self._empty
-
-        def look(progress: Progress) -> Payload:
-            session = payload_session(live.urdf, live.configuration, "robot_description")
-            return _weigh(session, empty, loaded, progress)
-
-        self._search.start(look)
+        self._search.start(partial(_weigh, worker.session, self._empty, loaded))
         return True, f"identifying the payload from {_seconds(loaded):.0f} s; the result is published on ~/payload"
 
 
 def _weigh(
-    session: Session, empty: Sequence[AcceptedMessages], loaded: Sequence[AcceptedMessages], progress: Progress
+    live: Session, empty: Sequence[AcceptedMessages], loaded: Sequence[AcceptedMessages], progress: Progress
 ) -> Payload:
+    session = payload_session(live.urdf, live.configuration, "robot_description")
     recordings: list[Samples] = []
     for condition, messages in (("without", empty), ("with", loaded)):
         stage = f"reading the motion {condition} the payload"

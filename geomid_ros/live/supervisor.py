@@ -133,8 +133,8 @@ class Supervisor:
         if self._checkpoints.restored is not None and self.worker is None:
             self._ledger.restore(self._checkpoints.restored.accounts)
         status = self._checkpoints.status
-        if status.error or status.warning:
-            self._log.error(status.error or status.warning)
+        if status.problem:
+            self._log.error(status.problem)
         elif self._checkpoints.beginning:
             self._log.info(self._checkpoints.beginning)
 

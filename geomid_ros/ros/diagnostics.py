@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -51,13 +51,6 @@ NO_DESCRIPTION = Advised(
 _NOTHING_COMES = "does the driver run? 'ros2 topic list -t' shows topics, '--ros-args -r NAME:=TOPIC' renames one"
 
 
-class Complaint(NamedTuple):
-    """``sentence`` on a problem; ``error`` if it is more than a warning."""
-
-    sentence: str
-    error: bool
-
-
 class Diagnostics:
     """Makes a node's diagnostic messages. They report what went wrong since the previous message."""
 
@@ -65,8 +58,10 @@ class Diagnostics:
         self._node = node
         self._before = Status(active=False)
         self._barren = 0  # consecutive diagnostics with accepted messages but no rows
-        self.complaints: tuple[Complaint, ...] = ()
-        """Problems with the stream in the last diagnostics."""
+        self.errors: list[str] = []
+        """Sentences on problems with the stream in the last diagnostics."""
+        self.warnings: list[str] = []
+        """Sentences on lesser problems in the last diagnostics."""
 
     def array(
         self, status: Status, search: SearchStatus[FoundGap] | None = None, checkpoints: CheckpointStatus | None = None
@@ -79,12 +74,11 @@ class Diagnostics:
             checkpoints: of the checkpoints, if any are kept.
         """
         new = status.since(self._before)
-        errors = [*dict.fromkeys(_errors(status, new))]
+        self.errors = [*dict.fromkeys(_errors(status, new))]
         sentences = dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])
-        warnings = [text for text in sentences if text not in errors]
-        self.complaints = (*(Complaint(text, True) for text in errors), *(Complaint(text, False) for text in warnings))
+        self.warnings = [text for text in sentences if text not in self.errors]
         self._before = status
-        level, message = _judgement(status, errors, warnings)
+        level, message = _judgement(status, self.errors, self.warnings)
         array = DiagnosticArray(status=[status_message(f"{self._node}: stream", level, message, _stream(status))])
         if search is not None:
             array.status.append(_search(f"{self._node}: gap finding", search))
@@ -241,13 +235,11 @@ def _payload(name: str, carried: CarriedPayload) -> DiagnosticStatus:
 
 
 def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
-    if checkpoints.error:
-        return status_message(name, DiagnosticStatus.ERROR, checkpoints.error, checkpoints.values)
-    if checkpoints.warning:
-        return status_message(name, DiagnosticStatus.WARN, checkpoints.warning, checkpoints.values)
-    return status_message(
-        name, DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows in the checkpoint", checkpoints.values
-    )
+    level, message = DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows in the checkpoint"
+    if checkpoints.problem:
+        level = DiagnosticStatus.ERROR if checkpoints.is_error else DiagnosticStatus.WARN
+        message = checkpoints.problem
+    return status_message(name, level, message, checkpoints.values)
 
 
 def _judgement(status: Status, errors: Sequence[str], warnings: Sequence[str]) -> tuple[bytes, str]:

@@ -34,7 +34,6 @@ from sensor_msgs.msg import Imu, JointState
 from geomid_ros.errors import InputError
 from geomid_ros.live.inbox import MOST_AT_ONCE, Received
 from geomid_ros.session.configuration import (
-    AT_ANY_TIME,
     AT_START,
     PARAMETERS,
     Configuration,
@@ -73,16 +72,6 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     if parameter.minimum is not None and parameter.maximum is not None:
         descriptor.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
     return descriptor
-
-
-def changed_names(before: Configuration, after: Configuration) -> list[str]:
-    """Return the names that are given in ``after`` and whose values differ."""
-    return [name for name, value in after.given_values.items() if value != before[name]]
-
-
-def depends_on_rows(name: str) -> bool:
-    """True if a parameter may change only while there are no rows."""
-    return find_parameter(name).change != AT_ANY_TIME
 
 
 _CLASSES = {kind.__name__: kind for kind in (WrenchStamped, Odometry, Imu, JointState)}
@@ -154,8 +143,7 @@ class Inputs:
         """
         # Best effort matches any publisher; the depth bridges pauses of Python at 1 kHz.
         qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        subscription = self._subscribe(kind, name, lambda _: None, qos, _Polled())
-        self._inputs.append(_Input(name, subscription, several, kind))
+        self._subscribe(kind, name, lambda _: None, qos, several=several, polled=True)
 
     def listen_as(self, configuration: Configuration) -> None:
         """Subscribe to the data that a configuration asks for. Raises InputError as :meth:`subscribe_data`."""
@@ -171,8 +159,7 @@ class Inputs:
 
     def subscribe(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe to a topic other than data."""
-        subscription = self._subscribe(kind, name, callback, qos)
-        self._inputs.append(_Input(name, subscription, several=True))
+        self._subscribe(kind, name, callback, qos, several=True, polled=False)
 
     def close(self) -> None:
         """Unsubscribe from data."""
@@ -213,28 +200,29 @@ class Inputs:
         return [Received(entry.name, data, at) for (data, _), at in zip(taken, times, strict=True)]
 
     def _subscribe(
-        self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, polled: _Polled | None = None
-    ) -> Subscription:
+        self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, *, several: bool, polled: bool
+    ) -> None:
         events = SubscriptionEventCallbacks(
             message_lost=partial(self._on_lost, name), incompatible_qos=partial(self._on_incompatible, name)
         )
         options = QoSOverridingOptions.with_default_policies()
         try:
-            return self._node.create_subscription(
+            subscription = self._node.create_subscription(
                 kind,
                 name,
                 callback,
                 qos,
-                callback_group=polled,
+                callback_group=_Polled() if polled else None,
                 event_callbacks=events,
                 qos_overriding_options=options,
-                raw=polled is not None,
+                raw=polled,
             )
         except NameValidationException as error:
             raise InputError(f"parameters: topic '{name}': {' '.join(str(error).split())}") from error
         except (RuntimeError, AssertionError, AttributeError) as error:  # raised by rclpy for unexpected values
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"parameters: topic '{name}': its qos_overrides cannot be used ({reason})") from error
+        self._inputs.append(_Input(name, subscription, several, kind if polled else None))
 
     def _count_missing(self, entry: _Input, numbers: list[int]) -> None:
         """Count as lost the messages that a publisher sent between its last one and these with sequence ``numbers``.

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.live.effort_predictor import EffortPredictor
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.searches import NO_DATA, BackgroundSearch, PayloadSearch, look_for_gap
 from geomid_ros.live.solving_process import SolvingProcess
@@ -27,12 +28,12 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
-from geomid_ros.ros.inputs import Inputs, RosTypes, changed_names, depends_on_rows, read_parameters
+from geomid_ros.ros.inputs import Inputs, RosTypes, read_parameters
 from geomid_ros.ros.managed import Managed
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.startup import starting_ros
 from geomid_ros.ros.streaming import Streaming
-from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.configuration import AT_ANY_TIME, Configuration, find_parameter
 from geomid_ros.signals.decoding import read_without_rosbags
 from geomid_ros.signals.ledger import Ledger
 
@@ -75,8 +76,9 @@ class GeomidNode(Managed, Node):
         create = self.create_publisher if lifecycle == "none" else self.create_lifecycle_publisher
         self._ledger = Ledger()
         self._inputs = Inputs(self, self._ledger)
-        self._streaming = Streaming(self, self._inputs, self._console.warning)
-        self._outputs = Outputs(self, create, self._streaming)
+        predictor = EffortPredictor()
+        self._streaming = Streaming(self, self._inputs, predictor, self._console.warning)
+        self._outputs = Outputs(self, create, predictor)
         self._search = BackgroundSearch("no finding", self._outputs.publish_gap)
         self._payload = PayloadSearch(self._outputs.publish_identified_payload)
         self._dashboard: DashboardProcess | None = None
@@ -207,10 +209,10 @@ class GeomidNode(Managed, Node):
 
     def _use(self, configuration: Configuration) -> None:
         before = self._configuration
-        changed = changed_names(before, configuration)
+        changed = [name for name, value in configuration.given_values.items() if value != before[name]]
         if not changed:
             return
-        row_dependent = [*filter(depends_on_rows, changed)]
+        row_dependent = [name for name in changed if find_parameter(name).change != AT_ANY_TIME]
         if row_dependent and self._has_rows:
             raise InputError(f"{row_dependent[0]} is read-only; it can be set after ~/stop (or deactivate) and ~/reset")
         try:
@@ -281,7 +283,7 @@ class GeomidNode(Managed, Node):
         self._supervisor.restart_hung_threads()
         status = self._status()
         array = self._diagnostics.array(status, self._search.status, self._supervisor.checkpoints)
-        self._console.log_complaints(self._diagnostics.complaints)
+        self._console.log_complaints(self._diagnostics.errors, self._diagnostics.warnings)
         self._console.log_events(self._news.since(status))
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)

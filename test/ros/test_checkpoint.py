@@ -183,10 +183,10 @@ def test_a_disk_that_fails_is_reported_and_tried_again(tmp_path: Path, monkeypat
         with monkeypatch.context() as patch:
             patch.setattr(os, "fsync", fail)
             fed(of, HALF, len(MESSAGES))
-            wait_until(lambda: "No space left on device" in kept.status.error)
+            wait_until(lambda: "No space left on device" in kept.status.problem)
             assert rows_safe(kept) < of.identifier.rows
         wait_until(lambda: rows_safe(kept) == of.identifier.rows)
-        assert kept.status.error == ""
+        assert kept.status.problem == ""
     assert not list((tmp_path / "idle").glob("checkpoint*")), "there was nothing to write"
     assert rows(tmp_path) == of.identifier.rows
 
@@ -200,13 +200,13 @@ def test_a_disk_that_is_slow_is_reported_and_waited_for_by_nobody(
     with closing(Checkpoints(of, tmp_path, SOON)) as kept:
         fed(of, 0, HALF)
         assert writing.wait(PATIENCE)
-        assert kept.status.error == ""
+        assert kept.status.problem == ""
         now[0] += 2.0 * SOON
-        assert "the disk is slow" in kept.status.error
+        assert "the disk is slow" in kept.status.problem
         fed(of, HALF, len(MESSAGES))
         assert rows_safe(kept) == 0
         may_go_on.set()
-        wait_until(lambda: rows_safe(kept) == of.identifier.rows and not kept.status.error)
+        wait_until(lambda: rows_safe(kept) == of.identifier.rows and not kept.status.problem)
 
 
 def test_the_end_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

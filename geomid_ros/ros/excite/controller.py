@@ -118,7 +118,11 @@ def find_controller(node: Node, controller: str, look: Callable[[], object]) -> 
     Raises:
         InputError: it is not available; the error names the available ones.
     """
-    interfaces: list[TrajectoryController] = [*_action(node, controller), TopicController(node, controller)]
+    interfaces: list[TrajectoryController] = [TopicController(node, controller)]
+    if (action := follow_joint_trajectory()) is not None:
+        from rclpy.action.client import ActionClient  # noqa: PLC0415 only with control_msgs
+
+        interfaces.insert(0, ActionController(node, controller, action, ActionClient))
     ready: TrajectoryController | None = None
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
@@ -151,11 +155,3 @@ def follow_joint_trajectory() -> Any:
         return import_module("control_msgs.action").FollowJointTrajectory
     except ImportError:
         return None
-
-
-def _action(node: Node, controller: str) -> list[TrajectoryController]:
-    if (action := follow_joint_trajectory()) is None:
-        return []
-    from rclpy.action.client import ActionClient  # noqa: PLC0415 only with control_msgs
-
-    return [ActionController(node, controller, action, ActionClient)]
