@@ -292,8 +292,8 @@ def _warnings(status: Status, new: Status) -> list[str]:
         sentences.append(_gap_sentence(gaps))
     if status.estimate is not None and not status.estimate.converged:
         sentences.append(status.estimate.reason)
-    if new.rows_rejected[STANDING_STILL] > 0 and new.rows <= 0:
-        sentences += _standing_still(status.estimate)
+    if new.rows_rejected[STANDING_STILL] > 0 and new.rows <= 0 and status.estimate is None:  # afterwards it may rest
+        sentences.append(f"{STANDING_STILL}: no link is identifiable; move the robot")
     return sentences
 
 
@@ -314,11 +314,6 @@ def _wrench_question(changed: Sequence[str]) -> str:
 
 def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
     return [f"{reason} ({count} messages)" for reason, count in Counter(refusals).most_common(_MOST_REASONS)]
-
-
-def _standing_still(estimate: Estimate | None) -> list[str]:
-    """Complain if there is no estimate yet: afterwards a robot may rest."""
-    return [f"{STANDING_STILL}: no link is identifiable; move the robot"] if estimate is None else []
 
 
 def _list(names: Sequence[str]) -> str:

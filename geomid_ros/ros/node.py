@@ -282,7 +282,8 @@ class GeomidNode(Managed, Node):
         self._supervisor.lock_absent_joints()
         self._supervisor.restart_hung_threads()
         status = self._status()
-        array = self._diagnostics.array(status, self._search.status, self._supervisor.checkpoints)
+        checkpoints = self._supervisor.checkpoints
+        array = self._diagnostics.array(status, self._search.status, checkpoints.status if checkpoints else None)
         self._console.log_complaints(self._diagnostics.errors, self._diagnostics.warnings)
         self._console.log_events(self._news.since(status))
         array.header.stamp = self.get_clock().now().to_msg()
