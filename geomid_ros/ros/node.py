@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
@@ -29,7 +31,6 @@ from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
 from geomid_ros.ros.inputs import Inputs, RosTypes, read_parameters
-from geomid_ros.ros.managed import Managed
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.startup import starting_ros
 from geomid_ros.ros.streaming import Streaming
@@ -40,9 +41,13 @@ from geomid_ros.signals.ledger import Ledger
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 
-class GeomidNode(Managed, Node):
+class GeomidNode(LifecycleNodeMixin, Node):
     """Subscribes to ``joint_states``, ``joint_commands``, wrench topics, ``odom`` or ``imu``, and
-    ``robot_description``; publishes its results. It is a managed node if the parameter ``lifecycle`` asks for it."""
+    ``robot_description``; publishes its results.
+
+    If the parameter ``lifecycle`` asks for it, it is a managed node. Then a transition that raises GeomidError fails,
+    and the state stays; after any other error the node is unconfigured.
+    """
 
     def __init__(self, solving: SolvingProcess | None = None) -> None:
         """
@@ -72,7 +77,9 @@ class GeomidNode(Managed, Node):
         self._configured = self._subscribed = False
         lifecycle = self._configuration["lifecycle"]
         if lifecycle != "none":
-            self.manage()
+            LifecycleNodeMixin.__init__(self)
+            service = self._service_change_state
+            service.callback = partial(self._change_state, service.callback)
         create = self.create_publisher if lifecycle == "none" else self.create_lifecycle_publisher
         self._ledger = Ledger()
         self._inputs = Inputs(self, self._ledger)
@@ -108,8 +115,8 @@ class GeomidNode(Managed, Node):
         if lifecycle == "none":
             self.activate()
             self.configure()  # last, as a later failure would leave its threads running
-        elif lifecycle == "autostart":
-            self.start()
+        elif lifecycle == "autostart" and self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
 
     @property
     def _worker(self) -> Worker | None:
@@ -263,11 +270,6 @@ class GeomidNode(Managed, Node):
         self._urdf = urdf
         self._report("")
 
-    def refuse(self, problem: str) -> None:
-        """Report in the log and the diagnostics why the node cannot change its state."""
-        self._problem = ""
-        self._report(problem)
-
     def _report(self, problem: str) -> None:
         """Report a problem with the robot description in the log and the diagnostics; clear it if empty."""
         if problem and problem != self._problem:
@@ -357,3 +359,55 @@ class GeomidNode(Managed, Node):
             self._dashboard.close()
         self.deactivate()
         self.clean_up()
+
+    def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        """Answer that the state does not allow a transition: rclpy raises an error instead of an answer."""
+        try:
+            return change(request, response)
+        except RuntimeError as error:  # raised by rclpy
+            self.fail("a transition failed", error)
+            response.success = False
+            return response
+
+    def _outcome(self, act: Callable[[], None]) -> TransitionCallbackReturn:
+        """Act for a transition, and report in the log and the diagnostics why it fails."""
+        try:
+            act()
+        except GeomidError as error:
+            self._problem = ""
+            self._report(str(error))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001 rclpy would ignore it silently
+            self.fail("a transition failed", error)
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        return self._outcome(self.configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        super().on_activate(state)
+        outcome = self._outcome(self.activate)
+        if outcome != TransitionCallbackReturn.SUCCESS:
+            self.on_deactivate(state)
+        return outcome
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        super().on_deactivate(state)
+        return self._outcome(self.deactivate)
+
+    def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        return self._outcome(self.clean_up)
+
+    def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        return self._outcome(self.close)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        self.on_deactivate(state)
+        return self.on_cleanup(state)
