@@ -13,7 +13,7 @@ from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.live.saving import Checkpoints, Saving
 from geomid_ros.live.solving_process import SolvingProcess
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import PATIENCE, Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import locked_note, with_locked
@@ -59,6 +59,8 @@ class Supervisor:
         self._solving = solving
         self.saving = Saving(configuration["output_folder"])
         """Writes the workers' estimates."""
+        self.failures = Failures()
+        """Counts exceptions of the node and of all workers."""
         self._restarts = 0  # of the intake
         self._hanging: tuple[str, ...] = ()  # sentences on threads that hang and cannot be ended
         self._hung = ""  # sentence on a thread that hung, until the next estimate
@@ -97,7 +99,8 @@ class Supervisor:
             self.worker.close()
             self._listener.on_payload(None)
         self._restore(session)
-        self.worker, self._solves = Worker(session, self._configuration["solve_period"], self._listener), 0
+        self.worker = Worker(session, self._configuration["solve_period"], self._listener, self.failures)
+        self._solves = 0
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
         session.review.settled += [locked_note(absent)] if absent else []
         for warning in (*session.review.warnings(), *session.review.settled):

@@ -35,17 +35,18 @@ LONG = 1.0  # [s] longest normal duration of a thread's task; a solve may take `
 class Worker:
     """Runs a live session: owns its inbox, its intake thread and its solver."""
 
-    def __init__(self, session: Session, solve_period: float, listener: Listener) -> None:
+    def __init__(self, session: Session, solve_period: float, listener: Listener, failures: Failures) -> None:
         """
         Args:
             session: new, or restored from a checkpoint.
             solve_period: [s] between estimates.
             listener: receives samples in the intake's thread, once there is an estimate, and all else in the solver's.
+            failures: counts exceptions in both threads.
         """
         self.session = session
         self.ledger = session.pipeline.ledger
-        self.failures = Failures()  # of both threads
-        self.solver = Solver(session, solve_period, listener, self.failures)
+        self.failures = failures
+        self.solver = Solver(session, solve_period, listener, failures)
         self.activity = Activity()  # of the intake
         self._decoder = Decoder()
         self._listener = listener

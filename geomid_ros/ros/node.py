@@ -24,7 +24,7 @@ from geomid_ros.live.effort_predictor import EffortPredictor
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.searches import NO_DATA, BackgroundSearch, PayloadSearch, look_for_gap
 from geomid_ros.live.solving_process import SolvingProcess
-from geomid_ros.live.status import Failures, Status
+from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, StatusEvents
@@ -91,7 +91,6 @@ class GeomidNode(LifecycleNodeMixin, Node):
         self._dashboard: DashboardProcess | None = None
         self._urdf = ""  # latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
-        self._failures = Failures()
         self._supervisor = Supervisor(self._configuration, self._ledger, self._console, self._outputs, solving)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -278,7 +277,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
 
     def fail(self, what: str, error: Exception) -> None:
         """Report an exception in the log and the next diagnostics."""
-        self._console.error(self._failures.add(what, error))
+        self._console.error(self._supervisor.failures.add(what, error))
 
     def _publish_diagnostics(self) -> None:
         self._supervisor.lock_absent_joints()
@@ -298,7 +297,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
             status,
             problems=tuple(filter(None, problems)),
             warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
-            failures=self._failures.counts + status.failures,
+            failures=self._supervisor.failures.counts,
             accounts=self._ledger.topics,
             configured=self._configured,
         )

@@ -25,7 +25,7 @@ from geomid_ros.files.archive import decoded
 from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.live import saving, threads
 from geomid_ros.live.saving import Checkpoints
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
@@ -255,4 +255,4 @@ def working(of: Session) -> tuple[Worker, list[WarmStart | None]]:
     starts: list[WarmStart | None] = []
     solve = of.identifier.solve
     of.identifier.solve = lambda warm=None: starts.append(warm) or solve(warm)  # type: ignore[method-assign]
-    return Worker(of, SOON, Listener()), starts
+    return Worker(of, SOON, Listener(), Failures()), starts
