@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -123,13 +123,8 @@ class Worker:
             receipt_to_row = tuple(self._receipt_to_row)
         return Status(
             active=active,
-            problems=tuple(filter(None, (*self._sensors_left_out, *self._causes(sure=True), self._intake_is_late))),
-            warnings=(
-                *self.session.review.warnings(self.solver.estimate),
-                *self._causes(sure=False),
-                *self.session.review.remarks,
-                *filter(None, (self.solver.problem, self._solver_is_late, self._silence)),
-            ),
+            problems=tuple(self._problems()),
+            warnings=tuple(self._warnings()),
             failures=self.failures.counts,
             topics=self.session.topics,
             rows=rows.taken,
@@ -148,31 +143,33 @@ class Worker:
             changed_sensors=self.solver.changed_sensors,
         )
 
-    @property
-    def _sensors_left_out(self) -> list[str]:
-        return [f"{sentence}, including earlier ones, until ~/reset" for sentence in self._wrenches.sentences.values()]
+    def _problems(self) -> Iterator[str]:
+        for sentence in self._wrenches.sentences.values():
+            yield f"{sentence}, including earlier ones, until ~/reset"
+        yield from self._causes(sure=True)
+        task, seconds = self.activity.current
+        if seconds > LONG:
+            yield f"a message on {task} has been processed for {seconds:.0f} s"
+
+    def _warnings(self) -> Iterator[str]:
+        yield from self.session.review.warnings(self.solver.estimate)
+        yield from self._causes(sure=False)
+        yield from self.session.review.remarks
+        if problem := self.solver.problem:
+            yield problem
+        task, seconds = self.solver.activity.current
+        limit = max(LONG, self.solver.period) if task == SOLVING else LONG
+        if seconds > limit:
+            yield f"{task} takes {seconds:.0f} s so far, more than {limit:g} s"
+        if silent := self.session.pipeline.silent:
+            joints = ", ".join(f"'{joint}'" for joint in silent)
+            yield f"{JOINT_STATES}: no data of {joints}; rows need all joints"
 
     def _causes(self, *, sure: bool) -> list[str]:
         """Sentences of the causes that the checks of the whole recording found."""
         left_out = self._wrenches.sentences
         findings = [f for f in self.session.review.findings if left_out.keys().isdisjoint(f.cause.places)]
         return [finding.sentence for finding in findings if finding.sure == sure]
-
-    @property
-    def _silence(self) -> str:
-        joints = ", ".join(f"'{joint}'" for joint in self.session.pipeline.silent)
-        return f"{JOINT_STATES}: no data of {joints}; rows need all joints" if joints else ""
-
-    @property
-    def _intake_is_late(self) -> str:
-        task, seconds = self.activity.current
-        return f"a message on {task} has been processed for {seconds:.0f} s" if seconds > LONG else ""
-
-    @property
-    def _solver_is_late(self) -> str:
-        task, seconds = self.solver.activity.current
-        limit = max(LONG, self.solver.period) if task == SOLVING else LONG
-        return f"{task} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
     def _take_messages(self) -> None:
         for task in self._inbox.tasks():
