@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate, pairwise
 from operator import attrgetter
@@ -102,15 +102,22 @@ class _Polled(CallbackGroup):
         """Do nothing."""
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class _Input:
-    """Subscribed topic. ``several``: it may have more than one publisher; ``kind``: class of its messages if they are
-    polled."""
+    """Subscribed topic.
+
+    ``several``: it may have more than one publisher; ``kind``: class of its messages if they are polled; ``number``:
+    the publisher's sequence number of the last message; ``latest``: time of its receipt [s]; ``policy``: QoS policy in
+    which a publisher was last incompatible.
+    """
 
     name: str
-    subscription: Subscription
     several: bool
-    kind: type | None = None
+    kind: type | None
+    subscription: Subscription = field(init=False)
+    number: int | None = None
+    latest: float = 0.0
+    policy: str = "quality of service"
 
 
 class Inputs:
@@ -125,9 +132,6 @@ class Inputs:
         self._node = node
         self._ledger = ledger
         self._inputs: list[_Input] = []
-        self._numbers: dict[str, int] = {}  # publishers' sequence numbers of the last messages
-        self._latest: dict[str, float] = {}  # times of receipt of the last messages
-        self._policies: dict[str, str] = {}  # QoS policies in which publishers were last incompatible
 
     def subscribe_data(self, kind: type, name: str, several: bool = False) -> None:
         """Subscribe to data, which wait until :meth:`poll` polls them.
@@ -166,9 +170,7 @@ class Inputs:
         for entry in self._inputs:
             if entry.kind:
                 self._node.destroy_subscription(entry.subscription)
-        self._inputs = [entry for entry in self._inputs if not entry.kind]
-        self._numbers.clear()  # messages sent meanwhile do not count as lost
-        self._policies.clear()
+        self._inputs = [entry for entry in self._inputs if not entry.kind]  # messages sent meanwhile are not lost
 
     def poll(self, topic: str | None = None) -> list[Received]:
         """Poll the data of all topics, or of one. They are serialised, as many are decoded at once, and in their order
@@ -195,19 +197,20 @@ class Inputs:
         behind = now - wall_clock
         receipt_times = (min(now, behind + 1e-9 * (info["received_timestamp"] or math.inf)) for _, info in taken)
         # In the order of the topic, even if the wall clock is set.
-        _, *times = accumulate(receipt_times, max, initial=self._latest.get(entry.name, 0.0))
-        self._latest[entry.name] = times[-1]
+        _, *times = accumulate(receipt_times, max, initial=entry.latest)
+        entry.latest = times[-1]
         return [Received(entry.name, data, at) for (data, _), at in zip(taken, times, strict=True)]
 
     def _subscribe(
         self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, *, several: bool, polled: bool
     ) -> None:
+        entry = _Input(name, several, kind if polled else None)
         events = SubscriptionEventCallbacks(
-            message_lost=partial(self._on_lost, name), incompatible_qos=partial(self._on_incompatible, name)
+            message_lost=partial(self._on_lost, entry), incompatible_qos=partial(self._on_incompatible, entry)
         )
         options = QoSOverridingOptions.with_default_policies()
         try:
-            subscription = self._node.create_subscription(
+            entry.subscription = self._node.create_subscription(
                 kind,
                 name,
                 callback,
@@ -222,27 +225,27 @@ class Inputs:
         except (RuntimeError, AssertionError, AttributeError) as error:  # raised by rclpy for unexpected values
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"parameters: topic '{name}': its qos_overrides cannot be used ({reason})") from error
-        self._inputs.append(_Input(name, subscription, several, kind if polled else None))
+        self._inputs.append(entry)
 
     def _count_missing(self, entry: _Input, numbers: list[int]) -> None:
         """Count as lost the messages that a publisher sent between its last one and these with sequence ``numbers``.
 
         With several publishers the numbers cannot be attributed.
         """
-        before = self._numbers.pop(entry.name, None)
+        before, entry.number = entry.number, None
         if numbers and not entry.several:
-            self._numbers[entry.name] = numbers[-1]
+            entry.number = numbers[-1]
             sequence = numbers if before is None else [before, *numbers]
             if missing := sum(max(0, after - number - 1) for number, after in pairwise(sequence)):
                 self._ledger.lose(entry.name, missing)
 
-    def _on_lost(self, name: str, event: Any) -> None:
+    def _on_lost(self, entry: _Input, event: Any) -> None:
         # Sequence numbers are better: messages beyond the subscription's depth cause no event.
-        if name not in self._numbers:
-            self._ledger.lose(name, event.total_count_change)
+        if entry.number is None:
+            self._ledger.lose(entry.name, event.total_count_change)
 
-    def _on_incompatible(self, name: str, event: Any) -> None:
-        self._policies[name] = qos_policy_name_from_kind(event.last_policy_kind).lower()
+    def _on_incompatible(self, entry: _Input, event: Any) -> None:
+        entry.policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -256,11 +259,8 @@ class Inputs:
             if compatibility != QoSCompatibility.ERROR:
                 usable.append(publisher)
             else:
-                policy = self._policies.get(entry.name, "quality of service")
-                name = _full_name(publisher)
-                problems.append(
-                    f"{entry.name}: no messages from {name}, incompatible QoS: {policy} ({reason.rstrip(';')})"
-                )
+                name, why = _full_name(publisher), f"{entry.policy} ({reason.rstrip(';')})"
+                problems.append(f"{entry.name}: no messages from {name}, incompatible QoS: {why}")
         if len(usable) > 1 and not entry.several:
             named = ", ".join(sorted(map(_full_name, usable)))
             problems.append(
