@@ -119,7 +119,8 @@ class SolvingProcess:
             return
         self._ended_process = self._process
         self._ends += 1
-        self._fruitless += 1
+        if not self._given_up:  # one that took too long needs no pause
+            self._fruitless += 1
         self._ended = time.monotonic()
 
     def _replace(self) -> None:
