@@ -23,6 +23,7 @@ from geomid_ros.live.worker import LONG, Worker
 from geomid_ros.session.session import Session, save
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
+HANDOVER = 5.0  # [s] for the last checkpoint of a session if another one is to use its folder
 _LATE = 4.0  # [s] to wait for an estimate from all data; then the last one is saved
 _LATEST = 4.8  # [s] latest time of an answer
 _SHORTEST_PAUSE = 0.1  # fraction of the period, between slow checkpoints
@@ -91,11 +92,11 @@ class Checkpoints:
         self._rows = session.identifier.rows
         self._thread = start_daemon("checkpoints", self._write_repeatedly, disk)
 
-    def close(self) -> None:
-        """Write a last checkpoint, unless that takes long, and end."""
+    def close(self, patience: float = _PATIENCE) -> None:
+        """Write a last checkpoint, and end; wait for it no longer than ``patience`` [s]."""
         self._ending.set()
         if self._thread is not None:
-            self._thread.join(_PATIENCE)
+            self._thread.join(patience)
 
     @property
     def status(self) -> CheckpointStatus:

@@ -11,7 +11,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.live.saving import Checkpoints, Saving
+from geomid_ros.live.saving import HANDOVER, Checkpoints, Saving
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import PATIENCE, Worker
@@ -123,7 +123,7 @@ class Supervisor:
     def _restore(self, session: Session) -> None:
         """If a checkpoint folder is configured, resume the session from its checkpoint and write new ones."""
         if self.checkpoints is not None:
-            self.checkpoints.close()
+            self.checkpoints.close(HANDOVER)
         if not self._configuration["checkpoint.folder"]:
             return
         folder = Path(self._configuration["checkpoint.folder"]).resolve()

@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import itertools
 import json
+import logging
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -23,13 +25,15 @@ from signals.feeding import completed
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.archive import decoded
 from geomid_ros.files.checkpoints import Checkpoint
-from geomid_ros.live import saving, threads
+from geomid_ros.live import saving, supervisor, threads
 from geomid_ros.live.saving import Checkpoints
 from geomid_ros.live.status import Failures, Listener
+from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
+from geomid_ros.signals.ledger import Ledger
 
 from .observer import latched
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages, staged
@@ -219,6 +223,23 @@ def test_the_end_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert rows_safe(kept) == 0
     may_go_on.set()
     wait_until(lambda: rows_safe(kept) == of.identifier.rows)
+
+
+def test_the_next_session_waits_for_a_slow_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It needs the folder, which the one before has until its last checkpoint is written."""
+    parameters = {**FLAT, "checkpoint.folder": str(tmp_path), "checkpoint.period": 3600.0, "solve_period": 3600.0}
+    node = Supervisor(Configuration(parameters), Ledger(), logging.getLogger(), Listener(), None)
+    monkeypatch.setattr(supervisor, "HANDOVER", PATIENCE)
+    node.build(description("arm3"), "arm3.urdf")
+    assert node.worker is not None
+    rows = fed(node.worker.session, 0, HALF).identifier.rows
+    with monkeypatch.context() as slow:
+        slow.setattr(os, "fsync", lambda _: time.sleep(saving._PATIENCE))
+        node.build(description("arm3"), "arm3.urdf")
+    assert node.checkpoints is not None
+    assert node.checkpoints.status.problem == ""
+    assert f"with {rows} rows" in node.checkpoints.beginning
+    node.close()
 
 
 def test_what_was_to_be_forgotten_is(tmp_path: Path) -> None:
