@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass
 
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.monitoring.change_detection import PART, ChannelGap
 from geomid_ros.monitoring.payload_watch import CarriedPayload
@@ -33,7 +33,7 @@ class Watched:
 
 def watched(urdf: str, messages: Iterable[tuple[float, Received]], solve_period: float = _NEVER) -> Iterator[Watched]:
     """What the node's status shows of gaps and payloads, ten times a second."""
-    worker = Worker(Session(urdf, Configuration(), "robot.urdf"), solve_period, Listener())
+    worker = Worker(Session(urdf, Configuration(), "robot.urdf"), solve_period, Listener(), Failures())
     with closing(worker):
         for end, batch in _batches(messages):
             worker.enqueue(batch)

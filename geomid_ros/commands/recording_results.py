@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 import geomid_ros
-from geomid_ros.checks.verdict import USABLE, recording_verdict
+from geomid_ros.checks.verdict import DOUBTFUL, USABLE, recording_verdict
 from geomid_ros.commands.terminal import (
     lines,
     number_columns,
@@ -195,7 +195,7 @@ def _print_file(console: Console, file: FileTest) -> None:
     """Print the prediction error of the written description, and the channels where the given one is better."""
     say(console, "", file.sentence)
     for sentence in file.worse:
-        say(console, "DOUBTFUL", f"  {sentence}")
+        say(console, DOUBTFUL.upper(), f"  {sentence}")
     for sentence in file.limited:
         say(console, "Warning", f"  {sentence}")
 

@@ -56,10 +56,11 @@ def compare(out: Path, as_json: bool, **options: Any) -> None:
 
 def _show_comparison(comparison: geomid_ros.Comparison) -> None:
     """Print the verdict, a table of the differences, and the errors of both results."""
+    from geomid_ros.checks.verdict import DOUBTFUL
     from geomid_ros.report.result_pages import error, row, verdict
 
     console = results_console()
-    print_remarks(console, {"DOUBTFUL": comparison.doubts, "Note": comparison.notes})
+    print_remarks(console, {DOUBTFUL.upper(): comparison.doubts, "Note": comparison.notes})
     for number, path in enumerate((comparison.first, comparison.second), 1):
         say(console, f"{number}:", f" {path}")
     say(console, "", verdict(comparison.compared))
@@ -98,9 +99,11 @@ def verify(**options: Any) -> None:
 
 def _show_verification(result: geomid_ros.Verification) -> None:
     """Print channels and requirements."""
+    from geomid_ros.checks.verdict import DOUBTFUL
+
     console = results_console()
     warnings = [sentence for sentence in result.session.review.warnings() if sentence not in result.doubts]
-    print_remarks(console, {"DOUBTFUL": result.doubts, "Warning": warnings, "Note": result.session.notes})
+    print_remarks(console, {DOUBTFUL.upper(): result.doubts, "Warning": warnings, "Note": result.session.notes})
     console.print(_channels(result))
     if result.outcomes:
         console.print(_requirements(result))

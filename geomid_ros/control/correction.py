@@ -158,47 +158,6 @@ class FaultLatch:
         self.reason = self.reason or reason
 
 
-class Delay:
-    """Delay of the loop [s]: age of the data plus the time between them, the longest of about a second."""
-
-    def __init__(self) -> None:
-        self.reference = 0.0
-        """Delay that the gain is set for."""
-
-    def faults(self, delay: float) -> list[str]:
-        """Return the fault of a delay in a sentence, if there is one."""
-        if not self.reference or delay <= LARGEST_DELAY_RATIO * self.reference:
-            return []
-        return [f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.reference:.0f} ms before"]
-
-    def take(self, delay: float, step: float) -> list[str]:
-        """Take a delay, ``step`` seconds after the previous one. Return its faults."""
-        faults = self.faults(delay)
-        if not faults:
-            self.reference = max(delay, self.reference * (1.0 - step / _MEMORY))
-        return faults
-
-
-def faults_of(
-    joints: tuple[str, ...], limits: FloatArray, reading: Reading, before: Reading, commanded: FloatArray
-) -> list[str]:
-    """Return the faults of a reading after the one ``before``, in sentences.
-
-    Args:
-        joints: names.
-        limits: effort limits ``(joints,)``.
-        reading, before: measurements.
-        commanded: velocities ``(joints,)``.
-    """
-    faults = []
-    fraction = np.abs(reading.effort) / limits
-    if np.max(fraction) >= _SATURATED:
-        faults.append(f"the effort of joint '{joints[int(np.argmax(fraction))]}' saturates")
-    if reading.repeats(before) and np.max(np.abs(commanded)) > REST_SPEED:
-        faults.append("joint states repeat while the robot is to move")
-    return faults
-
-
 class Correction:
     """Efforts that a changed inertia of one body adds to those of an identified model.
 
@@ -223,7 +182,9 @@ class Correction:
             raise InputError(f"joint '{unlimited[0]}' has no effort limit in the URDF; adaptation is bounded by it")
         self._rows_of, identified = efforts.of_body(body)
         self.adaptation = Adaptation(identified, heaviest)
-        self.delay = Delay()
+        self.delay = 0.0
+        """Delay of the loop [s] that the gain is set for: age of the data plus the time between them, the longest of
+        about a second."""
         self.latch = FaultLatch()
         self._before: Reading | None = None
         self._faults: list[str] = []  # of the last reading
@@ -245,8 +206,11 @@ class Correction:
             self._check_clock(step, "of joint states ")
             return
         self._received = now
-        faults = faults_of(self._joints, self._limits, reading, before, commanded[1])
-        faults += self.delay.take(max(0.0, now - reading.time) + step, step)
+        delay = max(0.0, now - reading.time) + step
+        late = self._lateness(delay)
+        if not late:
+            self.delay = max(delay, self.delay * (1.0 - step / _MEMORY))
+        faults = [*self._faults_of(reading, before, commanded[1]), *late]
         rows, residuals = self._missing(np.array([reading.position, *commanded[1:]]), reading.effort)
         if not self.adaptation.explains(rows, residuals):
             faults.append("no payload explains the efforts; the robot may touch something")
@@ -254,7 +218,23 @@ class Correction:
         self.latch.record(now, faults)
         if not faults and not self.latch.reason:
             tangent = shortest_change(self.adaptation.point, rows, residuals)
-            self.adaptation.step(removed_fraction(step, self.delay.reference) * tangent)
+            self.adaptation.step(removed_fraction(step, self.delay) * tangent)
+
+    def _faults_of(self, reading: Reading, before: Reading, commanded: FloatArray) -> list[str]:
+        """Return the faults of a reading after the one ``before``, at ``commanded`` velocities, in sentences."""
+        faults = []
+        fraction = np.abs(reading.effort) / self._limits
+        if np.max(fraction) >= _SATURATED:
+            faults.append(f"the effort of joint '{self._joints[int(np.argmax(fraction))]}' saturates")
+        if reading.repeats(before) and np.max(np.abs(commanded)) > REST_SPEED:
+            faults.append("joint states repeat while the robot is to move")
+        return faults
+
+    def _lateness(self, delay: float) -> list[str]:
+        """Return the fault of a delay of the loop [s] in a sentence, if it is one."""
+        if not self.delay or delay <= LARGEST_DELAY_RATIO * self.delay:
+            return []
+        return [f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.delay:.0f} ms before"]
 
     def _missing(self, motion: FloatArray, effort: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows ``(joints, 10)`` of the body, and the residual ``effort (joints,)`` that neither it nor the model
@@ -272,7 +252,7 @@ class Correction:
         if np.isfinite(self._received) and now - self._received > LONGEST_FAULT:
             self.latch.switch_off(f"no joint states for {1e3 * (now - self._received):.0f} ms")
         if self._before is not None:  # late data are late before they arrive
-            self.latch.record(now, [*self._faults, *self.delay.faults(now - self._before.time)])
+            self.latch.record(now, [*self._faults, *self._lateness(now - self._before.time)])
         elapsed, self._sent = now - self._sent, now
         self._check_clock(elapsed)
         bound, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(elapsed, LONGEST_FAULT))

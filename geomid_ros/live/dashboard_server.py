@@ -9,13 +9,11 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
-from collections.abc import Callable
-from datetime import timedelta
-from typing import Any
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 from tornado.httpserver import HTTPServer
 from tornado.iostream import StreamClosedError
-from tornado.locks import Condition
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
 
@@ -28,7 +26,7 @@ PORT = 8765
 _OUR_NAMES = r"(127\.0\.0\.1|localhost)"
 _MOST_LISTENERS = 20
 _MOST_BODY = 1024  # bytes: requests of the page have no body
-_BEAT = timedelta(seconds=10)  # interval at which closed connections are noticed while nothing is new
+_BEAT = 0.25  # [s] interval at which new states are sent, and closed connections noticed
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -39,25 +37,17 @@ _HEADERS = {
 
 
 class Board:
-    """Latest state, and a condition to wait for the next. For one thread alone."""
+    """Latest state as text, how many there were, and who listens. For one thread alone."""
 
     def __init__(self) -> None:
-        self._text = ""
-        self._changed = Condition()
-        self._version = 0
+        self.text = ""
+        self.version = 0
         self.listeners = 0
 
     def show(self, state: State) -> None:
         """Replace the state."""
-        self._text = json.dumps(state, allow_nan=False)
-        self._version += 1
-        self._changed.notify_all()
-
-    async def after(self, version: int) -> tuple[int, str]:
-        """Return the state once it is newer than ``version``, with its version; the unchanged state after a timeout."""
-        if self._version == version:
-            await self._changed.wait(timeout=_BEAT)
-        return self._version, self._text
+        self.text = json.dumps(state, allow_nan=False)
+        self.version += 1
 
 
 class _Handler(RequestHandler):
@@ -93,10 +83,10 @@ class _Events(_Handler):
     async def _follow(self) -> None:
         seen = 0
         while True:
-            version, text = await self._board.after(seen)
-            self.write(f"data: {text}\n\n" if version > seen else ": nothing new\n\n")
-            await self.flush()
-            seen = version
+            is_new, seen = self._board.version > seen, self._board.version
+            self.write(f"data: {self._board.text}\n\n" if is_new else ": nothing new\n\n")
+            await self.flush()  # fails once the connection is closed
+            await asyncio.sleep(_BEAT)
 
 
 def _bound(port: int | None) -> list[socket.socket]:
@@ -109,14 +99,13 @@ def _bound(port: int | None) -> list[socket.socket]:
         raise InputError(f"port {port} of {ADDRESS} is not available ({error.strerror}); use another --port") from error
 
 
-async def serve(node: str, port: int | None, begin: Callable[[Board, str], Any], stop: asyncio.Event) -> None:
-    """Serve the page until ``stop`` is set.
+@asynccontextmanager
+async def served_board(node: str, port: int | None) -> AsyncIterator[tuple[Board, str]]:
+    """Serve the page inside the context, which is given its board and its address.
 
     Args:
         node: name of the node that is shown.
         port: port to serve on; None: the default port, or any free port if that is taken.
-        begin: called with the board and the page's address, before the first request.
-        stop: ends the server.
 
     Raises:
         InputError: the port is taken.
@@ -129,7 +118,8 @@ async def serve(node: str, port: int | None, begin: Callable[[Board, str], Any],
     server = HTTPServer(application, max_body_size=_MOST_BODY, idle_connection_timeout=60.0)
     sockets = _bound(port)
     server.add_sockets(sockets)
-    begin(board, f"http://{ADDRESS}:{sockets[0].getsockname()[1]}")
-    await stop.wait()
-    server.stop()
-    await server.close_all_connections()
+    try:
+        yield board, f"http://{ADDRESS}:{sockets[0].getsockname()[1]}"
+    finally:
+        server.stop()
+        await server.close_all_connections()

@@ -63,7 +63,7 @@ class EffortPredictor:
         """Predict with an ``estimate`` from now on."""
         self._used = session, estimate
         self.obstacle = _obstacle(session)
-        self._model = None if self.obstacle else _Model.of(session, with_payload(estimate, self._carried))
+        self._model = None if self.obstacle else _Model(session, with_payload(estimate, self._carried))
 
     def set_payload(self, carried: CarriedPayload | None) -> None:
         """Predict with this payload from now on, or with none."""
@@ -136,33 +136,18 @@ def _obstacle(session: Session) -> str:
     return ""
 
 
-@dataclass(frozen=True, eq=False)
 class _Model:
     """Data of a session and its estimate: inverse ``dynamics``, ``gains (joints,)`` of efforts, ``turning`` joints
     without limits, the low-pass's ``time_constant`` [s] and its ``memory`` [ns], after which it is reset; ``merges`` if
     each message has only some joints."""
 
-    joints: tuple[str, ...]
-    dynamics: InverseDynamics
-    gains: FloatArray
-    turning: FloatArray
-    reader: JointReader
-    merges: bool
-    time_constant: float
-    memory: int
-
-    @staticmethod
-    def of(session: Session, estimate: Estimate) -> _Model:
+    def __init__(self, session: Session, estimate: Estimate) -> None:
         robot, settings = session.robot, session.signals
-        gains = session.effort_gains
-        turning = np.array([joint.continuous for joint in robot.joints])
-        return _Model(
-            joints=robot.joint_names,
-            dynamics=InverseDynamics(session.model, estimate.parameters),
-            gains=gains,
-            turning=turning,
-            reader=JointReader(robot.joint_names, gains, turning, settings.max_gap_ns, ignore),
-            merges=session.configuration["merge_joint_states"],
-            time_constant=1.0 / (np.pi * SAMPLES_PER_CUTOFF_PERIOD * settings.cutoff),
-            memory=settings.max_gap_ns,
-        )
+        self.joints = robot.joint_names
+        self.dynamics = InverseDynamics(session.model, estimate.parameters)
+        self.gains = session.effort_gains
+        self.turning = np.array([joint.continuous for joint in robot.joints])
+        self.memory = settings.max_gap_ns
+        self.reader = JointReader(self.joints, self.gains, self.turning, self.memory, ignore)
+        self.merges: bool = session.configuration["merge_joint_states"]
+        self.time_constant = 1.0 / (np.pi * SAMPLES_PER_CUTOFF_PERIOD * settings.cutoff)

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder, Restored
+from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
@@ -23,6 +23,7 @@ from geomid_ros.live.worker import LONG, Worker
 from geomid_ros.session.session import Session, save
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
+HANDOVER = 5.0  # [s] for the last checkpoint of a session if another one is to use its folder
 _LATE = 4.0  # [s] to wait for an estimate from all data; then the last one is saved
 _LATEST = 4.8  # [s] latest time of an answer
 _SHORTEST_PAUSE = 0.1  # fraction of the period, between slow checkpoints
@@ -39,10 +40,11 @@ SaveOutcome: TypeAlias = tuple[bool, str]
 
 @dataclass(frozen=True)
 class CheckpointStatus:
-    """State of the checkpoints: an ``error`` or a ``warning`` if anything is wrong, and ``values`` for diagnostics."""
+    """State of the checkpoints: a sentence on a ``problem``, whether it ``is_error`` or a warning, and ``values`` for
+    diagnostics."""
 
-    error: str = ""
-    warning: str = ""
+    problem: str = ""
+    is_error: bool = False
     values: dict[str, object] = field(default_factory=dict)
 
 
@@ -55,7 +57,7 @@ class Checkpoints:
     def __init__(self, session: Session, folder: Path, period: float) -> None:
         """Restore the checkpoint in the folder, if there is one, and begin to write new ones.
 
-        The caller, who has the ledger, restores the accounts of that checkpoint (:attr:`restored`).
+        The caller, who has the ledger, restores the accounts of that checkpoint.
 
         Args:
             session: not in use yet.
@@ -65,7 +67,11 @@ class Checkpoints:
         self._session = session
         self._period = period
         self._problem = ""
-        self._restored = Restored()
+        self.restored: Checkpoint | None = None
+        """Checkpoint that the session was resumed from; None if there was none."""
+        self.beginning = ""
+        """Sentence on how the session began; empty if the folder was empty."""
+        self._unusable: tuple[str, ...] = ()  # sentences on files that could not be restored
         self._rows = 0  # in the last checkpoint
         self._written = 0
         self._seconds = 0.0  # duration of the last checkpoint
@@ -77,29 +83,20 @@ class Checkpoints:
         except GeomidError as error:
             self._problem = str(error)
             return
-        self._restored = disk.restore(session.restore)
+        start = disk.restore(session.restore)
+        self.restored, self._unusable = start.checkpoint, start.problems
+        began = ["started without rows"] if self._unusable else []
+        if self.restored is not None:
+            began = [f"resumed from checkpoint {self.restored.number} with {self.restored.memory.summary.rows} rows"]
+        self.beginning = "; ".join([*began, *self._unusable])
         self._rows = session.identifier.rows
         self._thread = start_daemon("checkpoints", self._write_repeatedly, disk)
 
-    @property
-    def restored(self) -> Checkpoint | None:
-        """Checkpoint that the session was resumed from; None if there was none."""
-        return self._restored.checkpoint
-
-    def close(self) -> None:
-        """Write a last checkpoint, unless that takes long, and end."""
+    def close(self, patience: float = _PATIENCE) -> None:
+        """Write a last checkpoint, and end; wait for it no longer than ``patience`` [s]."""
         self._ending.set()
         if self._thread is not None:
-            self._thread.join(_PATIENCE)
-
-    @property
-    def beginning(self) -> str:
-        """Sentence on how the session began; empty if the folder was empty."""
-        start = self._restored
-        if start.checkpoint is None:
-            return "; ".join(["started without rows", *start.problems]) if start.problems else ""
-        resumed = f"resumed from checkpoint {start.checkpoint.number} with {start.checkpoint.memory.summary.rows} rows"
-        return "; ".join([resumed, *start.problems])
+            self._thread.join(patience)
 
     @property
     def status(self) -> CheckpointStatus:
@@ -110,13 +107,9 @@ class Checkpoints:
             "rows": self._rows,
             "seconds": self._seconds,
         }
-        error, warning = self._problem or self._slowness, ""
-        if self._restored.problems and not self._written:
-            if self._restored.checkpoint is None:
-                error = error or self.beginning
-            else:
-                warning = self.beginning
-        return CheckpointStatus(error, warning, values)
+        error = self._problem or self._slowness
+        doubt = self.beginning if self._unusable and not self._written else ""
+        return CheckpointStatus(error or doubt, bool(error) or self.restored is None, values)
 
     @property
     def _slowness(self) -> str:
@@ -152,22 +145,6 @@ class Checkpoints:
         self._seconds = time.monotonic() - begin
 
 
-class _OneAnswer:
-    """Passes on the first of several answers."""
-
-    def __init__(self, done: Callable[[SaveOutcome], None]) -> None:
-        self._done = done
-        self._lock = threading.Lock()
-        self.given = False
-
-    def __call__(self, answer: SaveOutcome) -> None:
-        with self._lock:
-            if self.given:
-                return
-            self.given = True
-        self._done(answer)
-
-
 class Saving:
     """Saves estimates into a folder."""
 
@@ -177,7 +154,7 @@ class Saving:
         self._activity = Activity()
         self._problem = ""
         self._saved: Estimate | None = None
-        self._remainder: tuple[Estimate, KnownRemainder] | None = None  # latest, and its estimate
+        self._remainder: KnownRemainder | None = None  # of the saved estimate, once it is computed
         self._one_at_a_time = threading.Lock()
 
     @property
@@ -200,7 +177,7 @@ class Saving:
     def _save_whole(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[SaveOutcome], None]) -> None:
         answer = self._save(worker.session, result)
         done(answer)
-        if isinstance(result, Estimate) and answer[0] and self._remainder_of(result) is None:
+        if isinstance(result, Estimate) and answer[0] and self._remainder is None:
             self._save_remainder(worker, result)
 
     def _save_remainder(self, worker: Worker, estimate: Estimate) -> None:
@@ -212,13 +189,10 @@ class Saving:
             remainder = remainder_in_messages(identified_session(worker.session, estimate), messages)
             with self._one_at_a_time:
                 if remainder is not None and self._saved is estimate:
-                    self._remainder = estimate, remainder
+                    self._remainder = remainder
                     write_posterior(self._folder / POSTERIOR, estimate.posterior, remainder)
         except Exception as error:  # noqa: BLE001 as below
             self._problem = f"the remainder could not be saved: {error}"
-
-    def _remainder_of(self, estimate: Estimate) -> KnownRemainder | None:
-        return self._remainder[1] if self._remainder is not None and self._remainder[0] is estimate else None
 
     def begin_when_solved(self, worker: Worker, done: Callable[[SaveOutcome], None]) -> None:
         """Save an estimate from all data so far, in threads; the last estimate if that takes long to solve.
@@ -227,12 +201,17 @@ class Saving:
             worker: the source of the estimate.
             done: called once, within five seconds, with True if that succeeded, and a sentence.
         """
-        answer = _OneAnswer(done)
+        answered = threading.Lock()  # never released
+
+        def answer(outcome: SaveOutcome) -> None:
+            if answered.acquire(blocking=False):
+                done(outcome)
+
         worker.request_estimate(lambda result: self.begin(worker, result, answer))
 
         def save_last() -> None:
             last = worker.estimate
-            if answer.given:
+            if answered.locked():
                 return
             if last is None:
                 answer((False, f"{NOT_YET}: the first one takes more than {_LATE:g} s; ask again later"))
@@ -257,9 +236,10 @@ class Saving:
         with self._one_at_a_time, self._activity.doing("saving"):
             try:
                 files = save(session, self._folder, result)
-                if (remainder := self._remainder_of(result)) is not None:
-                    write_posterior(self._folder / POSTERIOR, result.posterior, remainder)
-                self._saved = result
+                if self._saved is not result:
+                    self._saved, self._remainder = result, None
+                if self._remainder is not None:
+                    write_posterior(self._folder / POSTERIOR, result.posterior, self._remainder)
             except Exception as error:  # noqa: BLE001 the caller must have an answer
                 self._problem = f"the estimate could not be saved: {error}"
                 return False, str(error)

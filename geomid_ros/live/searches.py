@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.errors import InputError
@@ -29,19 +29,7 @@ from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages
 _PATIENCE = 0.2  # [s] for a search to notice that it was closed
 
 
-class SearchResult(Protocol):
-    """Result of a search."""
-
-    @property
-    def sentence(self) -> str:
-        """Summary in one sentence."""
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """Complete result, for JSON."""
-
-
-R = TypeVar("R", bound=SearchResult)
+R = TypeVar("R", bound="FoundGap | Payload")
 
 
 @dataclass(frozen=True)
@@ -230,19 +218,14 @@ class PayloadSearch:
         loaded = [later for block in worker.recent_messages() if len(later := block.since(begin))]
         if not loaded:
             return False, "no data since the motion without the payload"
-        live, empty = worker.session, self._empty
-
-        def look(progress: Progress) -> Payload:
-            session = payload_session(live.urdf, live.configuration, "robot_description")
-            return _weigh(session, empty, loaded, progress)
-
-        self._search.start(look)
+        self._search.start(partial(_weigh, worker.session, self._empty, loaded))
         return True, f"identifying the payload from {_seconds(loaded):.0f} s; the result is published on ~/payload"
 
 
 def _weigh(
-    session: Session, empty: Sequence[AcceptedMessages], loaded: Sequence[AcceptedMessages], progress: Progress
+    live: Session, empty: Sequence[AcceptedMessages], loaded: Sequence[AcceptedMessages], progress: Progress
 ) -> Payload:
+    session = payload_session(live.urdf, live.configuration, "robot_description")
     recordings: list[Samples] = []
     for condition, messages in (("without", empty), ("with", loaded)):
         stage = f"reading the motion {condition} the payload"

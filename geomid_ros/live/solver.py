@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -17,7 +17,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.live.pace import NEW_SHARE, Pace
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.monitoring.change_detection import (
     ALARM,
@@ -30,9 +30,9 @@ from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import payload_watch
 from geomid_ros.session.session import Session
-from geomid_ros.signals.ledger import count_reason
 
 SOLVING, WATCHING = "solving", "searching for changes"
+_FAILURE = "the solver failed"
 _EARLIER = 64  # estimates kept: those made until a gap is detected, over most of a minute or more
 _CHOSEN_ANEW = 0.5  # new fraction of the data at which effects and the prior's weight are selected again
 
@@ -47,24 +47,25 @@ class Solver:
     of a mounted wrench sensor are left out while the sensor is changed, unless old rows are forgotten anyway.
     """
 
-    def __init__(self, session: Session, period: float, listener: Listener) -> None:
+    def __init__(self, session: Session, period: float, listener: Listener, failures: Failures) -> None:
         """
         Args:
             session: session with the rows.
             period: [s] between solves, at least; nothing is solved while no rows come.
             listener: receives estimates and payloads in the solver's thread.
+            failures: counts exceptions.
         """
         self._session = session
         self.period = period  # [s] between solves
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
         self._listener = listener
+        self._failures = failures
         self._reported: CarriedPayload | None = None  # last payload passed to the listener
-        self._lock = threading.Lock()  # held briefly, for all fields below
+        self._lock = threading.RLock()  # held briefly, for all fields below
         self.estimate: Estimate | None = None  # the last one
         self._earlier: deque[tuple[int, Estimate]] = deque(maxlen=_EARLIER)  # latest ones, with their sample counts
         self.problem = ""  # why the last solve gave no new estimate
-        self._failures: Counter[str] = Counter()
         self._epoch = 0  # results of earlier epochs are discarded
         self.solves = 0  # number of estimates so far
         self._solved_rows = 0
@@ -101,7 +102,7 @@ class Solver:
         """Discard all rows and what was learned from them."""
         with self._lock:
             self._session.identifier.reset()
-            self._begin_anew()
+            self.begin_anew()
 
     def reconfigure(self, configuration: Configuration) -> None:
         """Solve all rows again with another configuration; a running solve is discarded. Raises InputError, and changes
@@ -114,15 +115,12 @@ class Solver:
     def begin_anew(self) -> None:
         """Discard what was learned, or is being solved, from rows some of which were taken back."""
         with self._lock:
-            self._begin_anew()
-
-    def _begin_anew(self) -> None:
-        self.detector = self._new_detector()
-        self.changed_sensors = ()
-        self.estimate = None
-        self._earlier.clear()
-        self.problem = ""
-        self._solve_afresh()
+            self.detector = self._new_detector()
+            self.changed_sensors = ()
+            self.estimate = None
+            self._earlier.clear()
+            self.problem = ""
+            self._solve_afresh()
 
     def _solve_afresh(self) -> None:
         """Let the next solve choose its starting point and the prior's weight again."""
@@ -140,12 +138,6 @@ class Solver:
         """Return the last estimate from samples before this index; None if that is too long ago."""
         earlier = [estimate for samples, estimate in tuple(self._earlier) if samples <= instant]
         return earlier[-1] if earlier else None
-
-    @property
-    def failures(self) -> Counter[str]:
-        """Exceptions in the solver, counted by their text."""
-        with self._lock:
-            return self._failures.copy()
 
     def _new_detector(self) -> ChangeDetector:
         """Return a detector that sees one instance of each effect only, of candidates that of the middle of their grid.
@@ -205,25 +197,18 @@ class Solver:
 
     def _judge(self) -> None:
         """Run the checks of the recording when many data are new; before a solve, which may take long."""
-        try:
+        with self._failures.counted(_FAILURE):
             if self._session.review.check.due:
                 self._session.review.judge()
-        except Exception as error:  # noqa: BLE001 as below
-            self._fail(error)
 
     def _detect_changes(self) -> None:
         detector = self.detector
-        try:
+        with self._failures.counted(_FAILURE):
             while detector.test():
                 self._leave_out_changed_sensors(detector)
-            self._report_payload(detector)
-        except Exception as error:  # noqa: BLE001 the thread must survive; the diagnostics report it
-            self._fail(error)
-
-    def _report_payload(self, detector: ChangeDetector) -> None:
-        if detector is self.detector and (carried := self.payload) is not self._reported:
-            self._reported = carried
-            self._listener.on_payload(carried)
+            if detector is self.detector and (carried := self.payload) is not self._reported:
+                self._reported = carried
+                self._listener.on_payload(carried)
 
     def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
         """Leave out the rows of changed sensors; accept for good the rows of sensors that are sound."""
@@ -277,7 +262,7 @@ class Solver:
                 self._listener.on_estimate(self._session, estimate)
         except Exception as error:  # noqa: BLE001 the last estimate stays; the diagnostics report it
             if not isinstance(error, GeomidError):
-                self._fail(error)
+                self._failures.add(_FAILURE, error)
             with self._lock:
                 if epoch == self._epoch:
                     self.problem = f"no estimate: {error}"
@@ -305,7 +290,3 @@ class Solver:
             prior_rows = rows if warm is None or warm.effects_alone else warm.rows
             self._session.warm_start = WarmStart(estimate.parameters, prior_rows, estimate.prior_stds)
             return True
-
-    def _fail(self, error: Exception) -> None:
-        with self._lock:
-            count_reason(self._failures, f"the solver failed: {type(error).__name__}: {error}")

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from operator import methodcaller
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from geomid_ros.errors import GeomidError
@@ -78,7 +79,8 @@ class SolvingProcess:
 
         def run(task: Task, /, *arguments: Arguments.args, **named: Arguments.kwargs) -> Answer:
             with self._solving:
-                return self._answered(method, task, arguments, named)
+                answer: Answer = self._answered(methodcaller(method.__name__, *arguments, **named), task)
+            return answer
 
         return run
 
@@ -90,18 +92,16 @@ class SolvingProcess:
         self._process.kill()
         return True
 
-    def _answered(
-        self, method: Callable[..., Answer], task: object, arguments: tuple[Any, ...], named: dict[str, Any]
-    ) -> Answer:
+    def _answered(self, call: Callable[[object], Any], task: object) -> Any:
         self._given_up = False
         for _ in range(_TRIES):
             if self._closed:
-                return method(task, *arguments, **named)
+                return call(task)
             if not self._process.is_alive():
                 self._note_end()
                 self._replace()
             try:
-                answer = self._answer(method, task, arguments, named)
+                answer = self._answer(call, task)
             except (EOFError, OSError) as error:  # the process has ended
                 self._note_end()
                 if self._closed or self._given_up:
@@ -119,7 +119,8 @@ class SolvingProcess:
             return
         self._ended_process = self._process
         self._ends += 1
-        self._fruitless += 1
+        if not self._given_up:  # one that took too long needs no pause
+            self._fruitless += 1
         self._ended = time.monotonic()
 
     def _replace(self) -> None:
@@ -130,13 +131,11 @@ class SolvingProcess:
             raise GeomidError(f"the solver process died; it is restarted in {remaining:.0f} s")
         self._begin("spawn")
 
-    def _answer(
-        self, method: Callable[..., Answer], task: object, arguments: tuple[Any, ...], named: dict[str, Any]
-    ) -> Answer | Exception:
+    def _answer(self, call: Callable[[object], Any], task: object) -> Any:
         kind = type(task)
         sent_task = task if task is not self._tasks.get(kind) else None
-        self._connection.send_bytes(pickle.dumps((method, kind, sent_task, arguments, named), pickle.HIGHEST_PROTOCOL))
-        answer: Answer | Exception = pickle.loads(self._connection.recv_bytes())  # noqa: S301 it is ours
+        self._connection.send_bytes(pickle.dumps((call, kind, sent_task), pickle.HIGHEST_PROTOCOL))
+        answer = pickle.loads(self._connection.recv_bytes())  # noqa: S301 it is ours
         self._tasks[kind] = task
         return answer
 
@@ -153,11 +152,11 @@ def _serve(connection: Connection[Any, Any]) -> None:
     os.nice(_NICE)
     tasks: dict[type, object] = {}
     while True:
-        method, kind, sent_task, arguments, named = pickle.loads(connection.recv_bytes())  # noqa: S301 it is ours
+        call, kind, sent_task = pickle.loads(connection.recv_bytes())  # noqa: S301 it is ours
         if sent_task is not None:
             tasks[kind] = sent_task
         try:
-            answer = method(tasks[kind], *arguments, **named)
+            answer = call(tasks[kind])
         except Exception as error:  # noqa: BLE001 the parent raises it
             answer = error
         connection.send_bytes(pickle.dumps(answer, pickle.HIGHEST_PROTOCOL))

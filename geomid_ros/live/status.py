@@ -1,8 +1,11 @@
-"""State of a live session for the diagnostics, and the listener that receives its results."""
+"""State of a live session for the diagnostics, its failures, and the listener that receives its results."""
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 from geomid_ros.estimation.estimate import Estimate
@@ -10,7 +13,36 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.session import Session
-from geomid_ros.signals.ledger import Account
+from geomid_ros.signals.ledger import Account, count_reason
+
+
+class Failures:
+    """Exceptions that threads outlive, counted by their text. Any thread may call any method."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._counts: Counter[str] = Counter()
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Copy of the counts."""
+        with self._lock:
+            return self._counts.copy()
+
+    def add(self, failure: str, error: Exception) -> str:
+        """Count an exception. Return its text, which begins with the ``failure``."""
+        sentence = f"{failure}: {type(error).__name__}: {error}"
+        with self._lock:
+            count_reason(self._counts, sentence)
+        return sentence
+
+    @contextmanager
+    def counted(self, failure: str) -> Iterator[None]:
+        """Count an exception inside the context, and continue after it."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 the thread must survive; the diagnostics report it
+            self.add(failure, error)
 
 
 class Listener:
@@ -74,6 +106,7 @@ class Status:
             self,
             accounts={topic: account.since(before.account(topic)) for topic, account in self.accounts.items()},
             rows=self.rows - before.rows,
+            rows_made=self.rows_made - before.rows_made,
             rows_rejected=self.rows_rejected - before.rows_rejected,
             failures=self.failures - before.failures,
         )

@@ -11,9 +11,9 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.live.saving import Checkpoints, CheckpointStatus, Saving
+from geomid_ros.live.saving import HANDOVER, Checkpoints, Saving
 from geomid_ros.live.solving_process import SolvingProcess
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import PATIENCE, Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import locked_note, with_locked
@@ -59,13 +59,15 @@ class Supervisor:
         self._solving = solving
         self.saving = Saving(configuration["output_folder"])
         """Writes the workers' estimates."""
+        self.failures = Failures()
+        """Counts exceptions of the node and of all workers."""
         self._restarts = 0  # of the intake
         self._hanging: tuple[str, ...] = ()  # sentences on threads that hang and cannot be ended
         self._hung = ""  # sentence on a thread that hung, until the next estimate
         self._solves = 0  # of the worker, when it hung
         self._absent: tuple[str, ...] = ()  # joints that are locked, as nobody publishes them
         self._agreed = 0.0  # time [s] at which ``_absent`` last matched the messages
-        self._checkpoints: Checkpoints | None = None
+        self.checkpoints: Checkpoints | None = None  # of the present worker, if any are kept
         self.worker: Worker | None = None  # present worker
 
     @property
@@ -77,11 +79,6 @@ class Supervisor:
     def warning(self) -> str:
         """Warning that the solving process ended; empty if it did not."""
         return self._solving.warning if self._solving else ""
-
-    @property
-    def checkpoints(self) -> CheckpointStatus | None:
-        """State of the checkpoints; None if none are kept."""
-        return self._checkpoints.status if self._checkpoints is not None else None
 
     def build(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> None:
         """Begin to identify the robot of a description.
@@ -102,7 +99,8 @@ class Supervisor:
             self.worker.close()
             self._listener.on_payload(None)
         self._restore(session)
-        self.worker, self._solves = Worker(session, self._configuration["solve_period"], self._listener), 0
+        self.worker = Worker(session, self._configuration["solve_period"], self._listener, self.failures)
+        self._solves = 0
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
         session.review.settled += [locked_note(absent)] if absent else []
         for warning in (*session.review.warnings(), *session.review.settled):
@@ -124,19 +122,19 @@ class Supervisor:
 
     def _restore(self, session: Session) -> None:
         """If a checkpoint folder is configured, resume the session from its checkpoint and write new ones."""
-        if self._checkpoints is not None:
-            self._checkpoints.close()
+        if self.checkpoints is not None:
+            self.checkpoints.close(HANDOVER)
         if not self._configuration["checkpoint.folder"]:
             return
         folder = Path(self._configuration["checkpoint.folder"]).resolve()
-        self._checkpoints = Checkpoints(session, folder, self._configuration["checkpoint.period"])
-        if self._checkpoints.restored is not None and self.worker is None:
-            self._ledger.restore(self._checkpoints.restored.accounts)
-        status = self._checkpoints.status
-        if status.error or status.warning:
-            self._log.error(status.error or status.warning)
-        elif self._checkpoints.beginning:
-            self._log.info(self._checkpoints.beginning)
+        self.checkpoints = Checkpoints(session, folder, self._configuration["checkpoint.period"])
+        if self.checkpoints.restored is not None and self.worker is None:
+            self._ledger.restore(self.checkpoints.restored.accounts)
+        status = self.checkpoints.status
+        if status.problem:
+            self._log.error(status.problem)
+        elif self.checkpoints.beginning:
+            self._log.info(self.checkpoints.beginning)
 
     def reset(self) -> None:
         """Discard all rows, and forget that threads hung."""
@@ -191,9 +189,9 @@ class Supervisor:
         saved = self._save_last(self.worker, None, end)
         self.worker.close(max(0.0, end - time.monotonic()))
         self._save_last(self.worker, saved, end)
-        if self._checkpoints is not None:
-            self._checkpoints.close()
-        self.worker = self._checkpoints = None
+        if self.checkpoints is not None:
+            self.checkpoints.close()
+        self.worker = self.checkpoints = None
         self._restarts, self._hung, self._hanging = 0, "", ()
 
     def _save_last(self, worker: Worker, saved: Estimate | None, end: float) -> Estimate | None:

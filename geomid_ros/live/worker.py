@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -14,7 +14,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Inbox, Received, Request
 from geomid_ros.live.solver import SOLVING, Done, Solver
-from geomid_ros.live.status import Listener, Status
+from geomid_ros.live.status import Failures, Listener, Status
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
@@ -23,7 +23,6 @@ from geomid_ros.monitoring.payload_watch import with_payload
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import WrenchGuard
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Block, message_type
 from geomid_ros.types import FloatArray, IntArray
 
@@ -36,22 +35,23 @@ LONG = 1.0  # [s] longest normal duration of a thread's task; a solve may take `
 class Worker:
     """Runs a live session: owns its inbox, its intake thread and its solver."""
 
-    def __init__(self, session: Session, solve_period: float, listener: Listener) -> None:
+    def __init__(self, session: Session, solve_period: float, listener: Listener, failures: Failures) -> None:
         """
         Args:
             session: new, or restored from a checkpoint.
             solve_period: [s] between estimates.
             listener: receives samples in the intake's thread, once there is an estimate, and all else in the solver's.
+            failures: counts exceptions in both threads.
         """
         self.session = session
         self.ledger = session.pipeline.ledger
-        self.solver = Solver(session, solve_period, listener)
+        self.failures = failures
+        self.solver = Solver(session, solve_period, listener, failures)
         self.activity = Activity()  # of the intake
         self._decoder = Decoder()
         self._listener = listener
-        self._lock = threading.Lock()  # held briefly, for the next three fields
-        self._failures: Counter[str] = Counter()
         self._rows_lost: Counter[str] = Counter()  # replaced, never modified
+        self._lock = threading.Lock()  # held briefly, for the next field
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
         self._wrenches = WrenchGuard(session)
         self._unchecked: list[Samples] = []
@@ -120,17 +120,12 @@ class Worker:
         """Return the present state. ``active``: True if the node takes data."""
         pipeline, rows, lost = self.session.pipeline, self.session.identifier.counts, self._rows_lost
         with self._lock:
-            receipt_to_row, failures = tuple(self._receipt_to_row), self._failures + self.solver.failures
+            receipt_to_row = tuple(self._receipt_to_row)
         return Status(
             active=active,
-            problems=tuple(filter(None, (*self._sensors_left_out, *self._causes(sure=True), self._intake_is_late))),
-            warnings=(
-                *self.session.review.warnings(self.solver.estimate),
-                *self._causes(sure=False),
-                *self.session.review.remarks,
-                *filter(None, (self.solver.problem, self._solver_is_late, self._silence)),
-            ),
-            failures=failures,
+            problems=tuple(self._problems()),
+            warnings=tuple(self._warnings()),
+            failures=self.failures.counts,
             topics=self.session.topics,
             rows=rows.taken,
             rows_made=rows.made + lost.total(),
@@ -148,9 +143,27 @@ class Worker:
             changed_sensors=self.solver.changed_sensors,
         )
 
-    @property
-    def _sensors_left_out(self) -> list[str]:
-        return [f"{sentence}, including earlier ones, until ~/reset" for sentence in self._wrenches.sentences.values()]
+    def _problems(self) -> Iterator[str]:
+        for sentence in self._wrenches.sentences.values():
+            yield f"{sentence}, including earlier ones, until ~/reset"
+        yield from self._causes(sure=True)
+        task, seconds = self.activity.current
+        if seconds > LONG:
+            yield f"a message on {task} has been processed for {seconds:.0f} s"
+
+    def _warnings(self) -> Iterator[str]:
+        yield from self.session.review.warnings(self.solver.estimate)
+        yield from self._causes(sure=False)
+        yield from self.session.review.remarks
+        if problem := self.solver.problem:
+            yield problem
+        task, seconds = self.solver.activity.current
+        limit = max(LONG, self.solver.period) if task == SOLVING else LONG
+        if seconds > limit:
+            yield f"{task} takes {seconds:.0f} s so far, more than {limit:g} s"
+        if silent := self.session.pipeline.silent:
+            joints = ", ".join(f"'{joint}'" for joint in silent)
+            yield f"{JOINT_STATES}: no data of {joints}; rows need all joints"
 
     def _causes(self, *, sure: bool) -> list[str]:
         """Sentences of the causes that the checks of the whole recording found."""
@@ -158,28 +171,10 @@ class Worker:
         findings = [f for f in self.session.review.findings if left_out.keys().isdisjoint(f.cause.places)]
         return [finding.sentence for finding in findings if finding.sure == sure]
 
-    @property
-    def _silence(self) -> str:
-        joints = ", ".join(f"'{joint}'" for joint in self.session.pipeline.silent)
-        return f"{JOINT_STATES}: no data of {joints}; rows need all joints" if joints else ""
-
-    @property
-    def _intake_is_late(self) -> str:
-        task, seconds = self.activity.current
-        return f"a message on {task} has been processed for {seconds:.0f} s" if seconds > LONG else ""
-
-    @property
-    def _solver_is_late(self) -> str:
-        task, seconds = self.solver.activity.current
-        limit = max(LONG, self.solver.period) if task == SOLVING else LONG
-        return f"{task} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
-
     def _take_messages(self) -> None:
         for task in self._inbox.tasks():
-            try:
+            with self.failures.counted("message processing failed"):
                 self._do(task)
-            except Exception as error:  # noqa: BLE001 the thread must survive; the diagnostics report it
-                self._fail("message processing failed", error)
 
     def _do(self, task: list[Received] | Request) -> None:
         if isinstance(task, list):
@@ -197,10 +192,9 @@ class Worker:
             self.ledger.reject(topic, f"not a valid {message_type(topic)}")
 
         blocks = self._decoder.blocks(messages, refuse)
-        try:
+        topics = " or ".join({block.topic for block in blocks})
+        with self.failures.counted(f"a message on {topics} could not be processed"):  # the pipeline counts the messages
             self.session.pipeline.push(blocks)
-        except Exception as error:  # noqa: BLE001 as above; the pipeline has counted the messages
-            self._fail(f"a message on {' or '.join({block.topic for block in blocks})} could not be processed", error)
         samples = self.session.pipeline.collect()
         if samples is not None:
             lag = round(1e9 * self.session.pipeline.lag)
@@ -213,10 +207,10 @@ class Worker:
         payload_parameters = None if payload is None else payload.added(np.zeros(self.session.model.dimension))
         try:
             stamps, rows, uncertain = identifier.add(samples, payload_parameters=payload_parameters)
-        except Exception as error:  # noqa: BLE001 as above
+        except Exception as error:  # noqa: BLE001 the thread must survive
             lost = before + len(samples) * len(self.session.model.channels) - identifier.counts.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
-            self._fail("rows could not be computed", error)
+            self.failures.add("rows could not be computed", error)
             return
         with self._lock:
             self._receipt_to_row.extend((time.perf_counter() - received).tolist())
@@ -230,27 +224,15 @@ class Worker:
         if self.solver.detector.add(identifier.sample_count - len(stamps), stamps, trusted):
             self.solver.request_change_search()
         if estimate is not None:
-            self._report_prediction(samples, with_payload(estimate, payload))
+            with self.failures.counted("a prediction could not be published"):
+                self._listener.on_samples(self.session, samples, with_payload(estimate, payload))
 
     def _check(self) -> None:
         """Add the new samples to the checks of the whole recording."""
         samples, self._unchecked = self._unchecked, []
-        if not samples:
-            return
-        try:
-            self.session.review.check.add(Samples.concatenate(samples))
-        except Exception as error:  # noqa: BLE001 as above; a request waits for this
-            self._fail("a check of the recording failed", error)
-
-    def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
-        try:
-            self._listener.on_samples(self.session, samples, estimate)
-        except Exception as error:  # noqa: BLE001 as above
-            self._fail("a prediction could not be published", error)
-
-    def _fail(self, failure: str, error: Exception) -> None:
-        with self._lock:
-            count_reason(self._failures, f"{failure}: {type(error).__name__}: {error}")
+        if samples:
+            with self.failures.counted("a check of the recording failed"):  # a request waits for this
+                self.session.review.check.add(Samples.concatenate(samples))
 
     def _forget(self) -> None:
         self.session.recent.clear()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from action_msgs.msg import GoalStatus
@@ -29,17 +28,6 @@ class Filled(NamedTuple):
 
 
 _STOP = Filled(JointTrajectory(), None)
-
-
-@dataclass(eq=False)
-class _Goal:
-    """Goal: its ``handle`` here, the controller's handle ``sent`` once it is accepted, and its outcome."""
-
-    handle: Any
-    filled: Filled = _STOP
-    sent: Any = None
-    status: int = GoalStatus.STATUS_ABORTED
-    result: Any = None
 
 
 class ActionRelay:
@@ -72,8 +60,9 @@ class ActionRelay:
         self._action, self._fill, self._follow, self._log = action, fill, follow, node.get_logger()
         self._name = action_name(controller)
         self._client = client(node, action, self._name)
-        self._goals: dict[bytes, _Goal] = {}
+        self._sent: dict[bytes, Any] = {}  # controller's goals, by the ids of the goals here
         self._latest: Any = None  # controller's goal that replaced all earlier ones
+        self._outcomes: dict[bytes, tuple[int, Any]] = {}  # status and result of goals that are to end
         server(
             node,
             action,
@@ -85,58 +74,60 @@ class ActionRelay:
 
     def _on_goal(self, handle: Any) -> None:
         """Send a goal on, or end it with a reason."""
-        goal = self._goals[_id(handle)] = _Goal(handle)
         request = handle.request
         try:
-            goal.filled = self._fill(request.trajectory)
+            filled = self._fill(request.trajectory)
         except GeomidError as error:
-            self._refuse(goal, f"{NOT_SENT}: {error}")
+            self._refuse(handle, f"{NOT_SENT}: {error}")
             return
         if not self._client.server_is_ready():
-            self._refuse(goal, f"nothing serves {self._name}; check that the controller is loaded and active")
+            self._refuse(handle, f"nothing serves {self._name}; check that the controller is loaded and active")
             return
-        request.trajectory = goal.filled.message
+        request.trajectory = filled.message
         answer = self._client.send_goal_async(request, lambda message: handle.publish_feedback(message.feedback))
-        answer.add_done_callback(lambda future: self._on_answer(goal, future.result()))
+        answer.add_done_callback(lambda future: self._on_answer(handle, filled, future.result()))
 
-    def _on_answer(self, goal: _Goal, sent: Any) -> None:
+    def _on_answer(self, handle: Any, filled: Filled, sent: Any) -> None:
         if not sent.accepted:
-            self._refuse(goal, NOT_ACCEPTED)
+            self._refuse(handle, NOT_ACCEPTED)
             return
-        goal.sent = self._latest = sent
-        self._follow(goal.filled)
-        sent.get_result_async().add_done_callback(lambda future: self._on_end(goal, future.result()))
-        if goal.handle.is_cancel_requested:  # requested meanwhile
+        self._sent[_id(handle)] = self._latest = sent
+        self._follow(filled)
+        sent.get_result_async().add_done_callback(lambda future: self._on_end(handle, sent, future.result()))
+        if handle.is_cancel_requested:  # requested meanwhile
             sent.cancel_goal_async()
 
     def _on_cancel(self, handle: Any) -> CancelResponse:
         """Ask the controller to cancel a goal; the goal's result shows if it did."""
-        goal = self._goals.get(_id(handle))
-        if goal is not None and goal.sent is not None:
-            goal.sent.cancel_goal_async()
+        if (sent := self._sent.get(_id(handle))) is not None:
+            sent.cancel_goal_async()
         return CancelResponse.ACCEPT
 
-    def _on_end(self, goal: _Goal, ended: Any) -> None:
-        goal.status, goal.result = ended.status, ended.result
-        if goal.sent is self._latest and goal.status != GoalStatus.STATUS_SUCCEEDED:
+    def _on_end(self, handle: Any, sent: Any, ended: Any) -> None:
+        if sent is self._latest and ended.status != GoalStatus.STATUS_SUCCEEDED:
             self._follow(_STOP)
-        goal.handle.execute()
+        del self._sent[_id(handle)]
+        self._end(handle, ended.status, ended.result)
 
-    def _refuse(self, goal: _Goal, reason: str) -> None:
+    def _refuse(self, handle: Any, reason: str) -> None:
         self._log.error(reason)
-        goal.result = self._action.Result(error_code=self._action.Result.INVALID_GOAL, error_string=reason)
-        goal.handle.execute()
+        result = self._action.Result(error_code=self._action.Result.INVALID_GOAL, error_string=reason)
+        self._end(handle, GoalStatus.STATUS_ABORTED, result)
+
+    def _end(self, handle: Any, status: int, result: Any) -> None:
+        self._outcomes[_id(handle)] = status, result
+        handle.execute()
 
     def _result(self, handle: Any) -> Any:
         """Return the result of a goal that has ended; end it with the controller's status."""
-        goal = self._goals.pop(_id(handle))
-        if goal.status == GoalStatus.STATUS_SUCCEEDED:
+        status, result = self._outcomes.pop(_id(handle))
+        if status == GoalStatus.STATUS_SUCCEEDED:
             handle.succeed()
-        elif goal.status == GoalStatus.STATUS_CANCELED and handle.is_cancel_requested:
+        elif status == GoalStatus.STATUS_CANCELED and handle.is_cancel_requested:
             handle.canceled()
         else:  # also for goals that the controller cancels by itself
             handle.abort()
-        return goal.result
+        return result
 
 
 def _id(handle: Any) -> bytes:

@@ -11,7 +11,7 @@ from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Log
-from geomid_ros.ros.diagnostics import Advised, Complaint
+from geomid_ros.ros.diagnostics import Advised
 
 AGAIN = 60.0  # [s] until a sentence is logged again
 _MOST_KINDS = 200  # bound on remembered sentences, as names in them are from outside
@@ -41,16 +41,15 @@ class Console:
         """Log an error."""
         self._log.error(one_line(message))
 
-    def log_complaints(self, complaints: Sequence[Complaint]) -> None:
+    def log_complaints(self, errors: Sequence[str], warnings: Sequence[str]) -> None:
         """Take the complaints of the present diagnostics, and log those that last."""
-        kinds = {_kind(item.sentence): item for item in complaints}
-        for error in (True, False):
-            new = [kind for kind, complaint in kinds.items() if complaint.error is error and self._is_due(kind)]
-            if new:
-                sentences = [_with_hint(kinds[kind].sentence) for kind in new]
-                (self.error if error else self.warning)("; ".join(sentences))
-                self._remember(new)
-        self._before = set(kinds)
+        before, self._before = self._before, {*map(_kind, (*errors, *warnings))}
+        for log, sentences in ((self.error, errors), (self.warning, warnings)):
+            kinds = {_kind(sentence): sentence for sentence in sentences}
+            due = [kind for kind in kinds if kind in before and self._was_long_ago(kind)]
+            if due:
+                log("; ".join(_with_hint(kinds[kind]) for kind in due))
+                self._remember(due)
 
     def log_events(self, sentences: Iterable[str]) -> None:
         """Log one-off events."""
@@ -58,9 +57,6 @@ class Console:
             if self._was_long_ago(_kind(sentence)):
                 self.info(sentence)
                 self._remember([_kind(sentence)])
-
-    def _is_due(self, kind: str) -> bool:
-        return kind in self._before and self._was_long_ago(kind)
 
     def _was_long_ago(self, kind: str) -> bool:
         return time.monotonic() - self._logged.get(kind, -AGAIN) >= AGAIN

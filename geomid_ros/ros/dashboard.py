@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import signal
-import threading
 from collections.abc import Callable
 from importlib.util import find_spec
 from multiprocessing import get_context
-from typing import TYPE_CHECKING
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from geomid_ros.errors import InputError
 from geomid_ros.live.dashboard_state import Diagnosis, state_of
-from geomid_ros.live.threads import end_with_parent, start_daemon
+from geomid_ros.live.threads import end_with_parent
 from geomid_ros.ros.startup import PAUSE, running_node
-
-if TYPE_CHECKING:
-    from geomid_ros.live.dashboard_server import Board
 
 _PATIENCE = 0.5  # [s] for its process to end
 
@@ -42,33 +36,20 @@ def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> No
 
 
 async def _run(node: str, port: int | None, say: Callable[[str], None], listener: Node) -> None:
-    from geomid_ros.live.dashboard_server import serve  # noqa: PLC0415 the node's process does not load its library
+    from geomid_ros.live.dashboard_server import served_board  # noqa: PLC0415 the node does not load its library
 
-    loop, stop = asyncio.get_running_loop(), asyncio.Event()
+    stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stop.set)
-
-    def begin(board: Board, address: str) -> None:
-        def take(message: DiagnosticArray) -> None:
-            state = state_of(node, _diagnoses(message))
-            if state is not None:
-                loop.call_soon_threadsafe(board.show, state)
-
-        listener.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    async with served_board(node, port) as (board, address):
+        handle = listener.create_subscription(DiagnosticArray, "/diagnostics", lambda _: None, 100).handle
         say(f"Dashboard of /{node}: {address}")
-
-    ending = threading.Event()
-    thread = start_daemon("dashboard", _spin, listener, ending)
-    try:
-        await serve(node, port, begin, stop)
-    finally:
-        ending.set()
-        await asyncio.to_thread(thread.join)  # while the objects that it uses exist
-
-
-def _spin(listener: Node, ending: threading.Event) -> None:
-    while not ending.is_set():
-        rclpy.spin_once(listener, timeout_sec=PAUSE)
+        while not stop.is_set():
+            with handle:
+                while (taken := handle.take_message(DiagnosticArray, False)) is not None:
+                    if (state := state_of(node, _diagnoses(taken[0]))) is not None:
+                        board.show(state)
+            await asyncio.sleep(PAUSE)
 
 
 def _diagnoses(message: DiagnosticArray) -> list[Diagnosis]:

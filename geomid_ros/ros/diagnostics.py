@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -51,13 +51,6 @@ NO_DESCRIPTION = Advised(
 _NOTHING_COMES = "does the driver run? 'ros2 topic list -t' shows topics, '--ros-args -r NAME:=TOPIC' renames one"
 
 
-class Complaint(NamedTuple):
-    """``sentence`` on a problem; ``error`` if it is more than a warning."""
-
-    sentence: str
-    error: bool
-
-
 class Diagnostics:
     """Makes a node's diagnostic messages. They report what went wrong since the previous message."""
 
@@ -65,8 +58,10 @@ class Diagnostics:
         self._node = node
         self._before = Status(active=False)
         self._barren = 0  # consecutive diagnostics with accepted messages but no rows
-        self.complaints: tuple[Complaint, ...] = ()
-        """Problems with the stream in the last diagnostics."""
+        self.errors: list[str] = []
+        """Sentences on problems with the stream in the last diagnostics."""
+        self.warnings: list[str] = []
+        """Sentences on lesser problems in the last diagnostics."""
 
     def array(
         self, status: Status, search: SearchStatus[FoundGap] | None = None, checkpoints: CheckpointStatus | None = None
@@ -79,12 +74,11 @@ class Diagnostics:
             checkpoints: of the checkpoints, if any are kept.
         """
         new = status.since(self._before)
-        errors = [*dict.fromkeys(_errors(status, new))]
+        self.errors = [*dict.fromkeys(_errors(status, new))]
         sentences = dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])
-        warnings = [text for text in sentences if text not in errors]
-        self.complaints = (*(Complaint(text, True) for text in errors), *(Complaint(text, False) for text in warnings))
+        self.warnings = [text for text in sentences if text not in self.errors]
         self._before = status
-        level, message = _judgement(status, errors, warnings)
+        level, message = _judgement(status, self.errors, self.warnings)
         array = DiagnosticArray(status=[status_message(f"{self._node}: stream", level, message, _stream(status))])
         if search is not None:
             array.status.append(_search(f"{self._node}: gap finding", search))
@@ -99,7 +93,7 @@ class Diagnostics:
     def _without_rows(self, status: Status, new: Status) -> list[str]:
         """Complain if accepted messages have yielded no rows for longer than the filter needs."""
         accepted = [topic for topic, account in new.accounts.items() if account.accepted > 0]
-        barren = status.active and bool(accepted) and status.rows_made == self._before.rows_made
+        barren = status.active and bool(accepted) and new.rows_made == 0
         self._barren = self._barren + 1 if barren else 0
         if self._barren <= _LONGEST_BARREN + 2.0 * status.lag:
             return []
@@ -241,13 +235,11 @@ def _payload(name: str, carried: CarriedPayload) -> DiagnosticStatus:
 
 
 def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
-    if checkpoints.error:
-        return status_message(name, DiagnosticStatus.ERROR, checkpoints.error, checkpoints.values)
-    if checkpoints.warning:
-        return status_message(name, DiagnosticStatus.WARN, checkpoints.warning, checkpoints.values)
-    return status_message(
-        name, DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows in the checkpoint", checkpoints.values
-    )
+    level, message = DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows in the checkpoint"
+    if checkpoints.problem:
+        level = DiagnosticStatus.ERROR if checkpoints.is_error else DiagnosticStatus.WARN
+        message = checkpoints.problem
+    return status_message(name, level, message, checkpoints.values)
 
 
 def _judgement(status: Status, errors: Sequence[str], warnings: Sequence[str]) -> tuple[bytes, str]:
@@ -300,8 +292,8 @@ def _warnings(status: Status, new: Status) -> list[str]:
         sentences.append(_gap_sentence(gaps))
     if status.estimate is not None and not status.estimate.converged:
         sentences.append(status.estimate.reason)
-    if new.rows_rejected[STANDING_STILL] > 0 and new.rows <= 0:
-        sentences += _standing_still(status.estimate)
+    if new.rows_rejected[STANDING_STILL] > 0 and new.rows <= 0 and status.estimate is None:  # afterwards it may rest
+        sentences.append(f"{STANDING_STILL}: no link is identifiable; move the robot")
     return sentences
 
 
@@ -322,11 +314,6 @@ def _wrench_question(changed: Sequence[str]) -> str:
 
 def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
     return [f"{reason} ({count} messages)" for reason, count in Counter(refusals).most_common(_MOST_REASONS)]
-
-
-def _standing_still(estimate: Estimate | None) -> list[str]:
-    """Complain if there is no estimate yet: afterwards a robot may rest."""
-    return [f"{STANDING_STILL}: no link is identifiable; move the robot"] if estimate is None else []
 
 
 def _list(names: Sequence[str]) -> str:

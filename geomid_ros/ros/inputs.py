@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate, pairwise
 from operator import attrgetter
@@ -34,7 +34,6 @@ from sensor_msgs.msg import Imu, JointState
 from geomid_ros.errors import InputError
 from geomid_ros.live.inbox import MOST_AT_ONCE, Received
 from geomid_ros.session.configuration import (
-    AT_ANY_TIME,
     AT_START,
     PARAMETERS,
     Configuration,
@@ -75,16 +74,6 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-def changed_names(before: Configuration, after: Configuration) -> list[str]:
-    """Return the names that are given in ``after`` and whose values differ."""
-    return [name for name, value in after.given_values.items() if value != before[name]]
-
-
-def depends_on_rows(name: str) -> bool:
-    """True if a parameter may change only while there are no rows."""
-    return find_parameter(name).change != AT_ANY_TIME
-
-
 _CLASSES = {kind.__name__: kind for kind in (WrenchStamped, Odometry, Imu, JointState)}
 
 
@@ -113,15 +102,22 @@ class _Polled(CallbackGroup):
         """Do nothing."""
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class _Input:
-    """Subscribed topic. ``several``: it may have more than one publisher; ``kind``: class of its messages if they are
-    polled."""
+    """Subscribed topic.
+
+    ``several``: it may have more than one publisher; ``kind``: class of its messages if they are polled; ``number``:
+    the publisher's sequence number of the last message; ``latest``: time of its receipt [s]; ``policy``: QoS policy in
+    which a publisher was last incompatible.
+    """
 
     name: str
-    subscription: Subscription
     several: bool
-    kind: type | None = None
+    kind: type | None
+    subscription: Subscription = field(init=False)
+    number: int | None = None
+    latest: float = 0.0
+    policy: str = "quality of service"
 
 
 class Inputs:
@@ -136,9 +132,6 @@ class Inputs:
         self._node = node
         self._ledger = ledger
         self._inputs: list[_Input] = []
-        self._numbers: dict[str, int] = {}  # publishers' sequence numbers of the last messages
-        self._latest: dict[str, float] = {}  # times of receipt of the last messages
-        self._policies: dict[str, str] = {}  # QoS policies in which publishers were last incompatible
 
     def subscribe_data(self, kind: type, name: str, several: bool = False) -> None:
         """Subscribe to data, which wait until :meth:`poll` polls them.
@@ -154,8 +147,7 @@ class Inputs:
         """
         # Best effort matches any publisher; the depth bridges pauses of Python at 1 kHz.
         qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        subscription = self._subscribe(kind, name, lambda _: None, qos, _Polled())
-        self._inputs.append(_Input(name, subscription, several, kind))
+        self._subscribe(kind, name, lambda _: None, qos, several=several, polled=True)
 
     def listen_as(self, configuration: Configuration) -> None:
         """Subscribe to the data that a configuration asks for. Raises InputError as :meth:`subscribe_data`."""
@@ -171,17 +163,14 @@ class Inputs:
 
     def subscribe(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe to a topic other than data."""
-        subscription = self._subscribe(kind, name, callback, qos)
-        self._inputs.append(_Input(name, subscription, several=True))
+        self._subscribe(kind, name, callback, qos, several=True, polled=False)
 
     def close(self) -> None:
         """Unsubscribe from data."""
         for entry in self._inputs:
             if entry.kind:
                 self._node.destroy_subscription(entry.subscription)
-        self._inputs = [entry for entry in self._inputs if not entry.kind]
-        self._numbers.clear()  # messages sent meanwhile do not count as lost
-        self._policies.clear()
+        self._inputs = [entry for entry in self._inputs if not entry.kind]  # messages sent meanwhile are not lost
 
     def poll(self, topic: str | None = None) -> list[Received]:
         """Poll the data of all topics, or of one. They are serialised, as many are decoded at once, and in their order
@@ -208,53 +197,55 @@ class Inputs:
         behind = now - wall_clock
         receipt_times = (min(now, behind + 1e-9 * (info["received_timestamp"] or math.inf)) for _, info in taken)
         # In the order of the topic, even if the wall clock is set.
-        _, *times = accumulate(receipt_times, max, initial=self._latest.get(entry.name, 0.0))
-        self._latest[entry.name] = times[-1]
+        _, *times = accumulate(receipt_times, max, initial=entry.latest)
+        entry.latest = times[-1]
         return [Received(entry.name, data, at) for (data, _), at in zip(taken, times, strict=True)]
 
     def _subscribe(
-        self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, polled: _Polled | None = None
-    ) -> Subscription:
+        self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, *, several: bool, polled: bool
+    ) -> None:
+        entry = _Input(name, several, kind if polled else None)
         events = SubscriptionEventCallbacks(
-            message_lost=partial(self._on_lost, name), incompatible_qos=partial(self._on_incompatible, name)
+            message_lost=partial(self._on_lost, entry), incompatible_qos=partial(self._on_incompatible, entry)
         )
         options = QoSOverridingOptions.with_default_policies()
         try:
-            return self._node.create_subscription(
+            entry.subscription = self._node.create_subscription(
                 kind,
                 name,
                 callback,
                 qos,
-                callback_group=polled,
+                callback_group=_Polled() if polled else None,
                 event_callbacks=events,
                 qos_overriding_options=options,
-                raw=polled is not None,
+                raw=polled,
             )
         except NameValidationException as error:
             raise InputError(f"parameters: topic '{name}': {' '.join(str(error).split())}") from error
         except (RuntimeError, AssertionError, AttributeError) as error:  # raised by rclpy for unexpected values
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"parameters: topic '{name}': its qos_overrides cannot be used ({reason})") from error
+        self._inputs.append(entry)
 
     def _count_missing(self, entry: _Input, numbers: list[int]) -> None:
         """Count as lost the messages that a publisher sent between its last one and these with sequence ``numbers``.
 
         With several publishers the numbers cannot be attributed.
         """
-        before = self._numbers.pop(entry.name, None)
+        before, entry.number = entry.number, None
         if numbers and not entry.several:
-            self._numbers[entry.name] = numbers[-1]
+            entry.number = numbers[-1]
             sequence = numbers if before is None else [before, *numbers]
             if missing := sum(max(0, after - number - 1) for number, after in pairwise(sequence)):
                 self._ledger.lose(entry.name, missing)
 
-    def _on_lost(self, name: str, event: Any) -> None:
+    def _on_lost(self, entry: _Input, event: Any) -> None:
         # Sequence numbers are better: messages beyond the subscription's depth cause no event.
-        if name not in self._numbers:
-            self._ledger.lose(name, event.total_count_change)
+        if entry.number is None:
+            self._ledger.lose(entry.name, event.total_count_change)
 
-    def _on_incompatible(self, name: str, event: Any) -> None:
-        self._policies[name] = qos_policy_name_from_kind(event.last_policy_kind).lower()
+    def _on_incompatible(self, entry: _Input, event: Any) -> None:
+        entry.policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -268,11 +259,8 @@ class Inputs:
             if compatibility != QoSCompatibility.ERROR:
                 usable.append(publisher)
             else:
-                policy = self._policies.get(entry.name, "quality of service")
-                name = _full_name(publisher)
-                problems.append(
-                    f"{entry.name}: no messages from {name}, incompatible QoS: {policy} ({reason.rstrip(';')})"
-                )
+                name, why = _full_name(publisher), f"{entry.policy} ({reason.rstrip(';')})"
+                problems.append(f"{entry.name}: no messages from {name}, incompatible QoS: {why}")
         if len(usable) > 1 and not entry.several:
             named = ", ".join(sorted(map(_full_name, usable)))
             problems.append(

@@ -69,20 +69,15 @@ def _run() -> None:
 
 
 def _run_node(solving: SolvingProcess) -> None:
-    import rclpy  # noqa: PLC0415
     from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
-    from rclpy.utilities import ok, try_shutdown  # noqa: PLC0415
+    from rclpy.utilities import ok  # noqa: PLC0415
 
     from geomid_ros.ros.node import GeomidNode  # noqa: PLC0415
-    from geomid_ros.ros.startup import PAUSE, starting_ros  # noqa: PLC0415
+    from geomid_ros.ros.startup import PAUSE, running_ros  # noqa: PLC0415
 
-    # rclpy's handlers would invalidate the publishers before the last estimate is published.
     stopping = threading.Event()
     on_signal(stopping.set)
-    with starting_ros():
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
+    with running_ros():
         node = GeomidNode(solving)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -96,8 +91,6 @@ def _run_node(solving: SolvingProcess) -> None:
             node.close()
             executor.remove_node(node)
             node.destroy_node()
-    finally:
-        try_shutdown()
 
 
 def _guarded(node: GeomidNode, run: Callable[[], object]) -> None:

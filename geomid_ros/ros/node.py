@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
@@ -19,6 +20,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.live.effort_predictor import EffortPredictor
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.searches import NO_DATA, BackgroundSearch, PayloadSearch, look_for_gap
 from geomid_ros.live.solving_process import SolvingProcess
@@ -28,21 +30,24 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
-from geomid_ros.ros.inputs import Inputs, RosTypes, changed_names, depends_on_rows, read_parameters
-from geomid_ros.ros.managed import Managed
+from geomid_ros.ros.inputs import Inputs, RosTypes, read_parameters
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.startup import starting_ros
 from geomid_ros.ros.streaming import Streaming
-from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.configuration import AT_ANY_TIME, Configuration, find_parameter
 from geomid_ros.signals.decoding import read_without_rosbags
-from geomid_ros.signals.ledger import Ledger, count_reason
+from geomid_ros.signals.ledger import Ledger
 
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 
-class GeomidNode(Managed, Node):
+class GeomidNode(LifecycleNodeMixin, Node):
     """Subscribes to ``joint_states``, ``joint_commands``, wrench topics, ``odom`` or ``imu``, and
-    ``robot_description``; publishes its results. It is a managed node if the parameter ``lifecycle`` asks for it."""
+    ``robot_description``; publishes its results.
+
+    If the parameter ``lifecycle`` asks for it, it is a managed node. Then a transition that raises GeomidError fails,
+    and the state stays; after any other error the node is unconfigured.
+    """
 
     def __init__(self, solving: SolvingProcess | None = None) -> None:
         """
@@ -72,18 +77,20 @@ class GeomidNode(Managed, Node):
         self._configured = self._subscribed = False
         lifecycle = self._configuration["lifecycle"]
         if lifecycle != "none":
-            self.manage()
+            LifecycleNodeMixin.__init__(self)
+            service = self._service_change_state
+            service.callback = partial(self._change_state, service.callback)
         create = self.create_publisher if lifecycle == "none" else self.create_lifecycle_publisher
         self._ledger = Ledger()
         self._inputs = Inputs(self, self._ledger)
-        self._streaming = Streaming(self, self._inputs, self._console.warning)
-        self._outputs = Outputs(self, create, self._streaming)
+        predictor = EffortPredictor()
+        self._streaming = Streaming(self, self._inputs, predictor, self._console.warning)
+        self._outputs = Outputs(self, create, predictor)
         self._search = BackgroundSearch("no finding", self._outputs.publish_gap)
         self._payload = PayloadSearch(self._outputs.publish_identified_payload)
         self._dashboard: DashboardProcess | None = None
         self._urdf = ""  # latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
-        self._failures: Counter[str] = Counter()
         self._supervisor = Supervisor(self._configuration, self._ledger, self._console, self._outputs, solving)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -107,8 +114,8 @@ class GeomidNode(Managed, Node):
         if lifecycle == "none":
             self.activate()
             self.configure()  # last, as a later failure would leave its threads running
-        elif lifecycle == "autostart":
-            self.start()
+        elif lifecycle == "autostart" and self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
 
     @property
     def _worker(self) -> Worker | None:
@@ -208,10 +215,10 @@ class GeomidNode(Managed, Node):
 
     def _use(self, configuration: Configuration) -> None:
         before = self._configuration
-        changed = changed_names(before, configuration)
+        changed = [name for name, value in configuration.given_values.items() if value != before[name]]
         if not changed:
             return
-        row_dependent = [*filter(depends_on_rows, changed)]
+        row_dependent = [name for name in changed if find_parameter(name).change != AT_ANY_TIME]
         if row_dependent and self._has_rows:
             raise InputError(f"{row_dependent[0]} is read-only; it can be set after ~/stop (or deactivate) and ~/reset")
         try:
@@ -262,11 +269,6 @@ class GeomidNode(Managed, Node):
         self._urdf = urdf
         self._report("")
 
-    def refuse(self, problem: str) -> None:
-        """Report in the log and the diagnostics why the node cannot change its state."""
-        self._problem = ""
-        self._report(problem)
-
     def _report(self, problem: str) -> None:
         """Report a problem with the robot description in the log and the diagnostics; clear it if empty."""
         if problem and problem != self._problem:
@@ -275,16 +277,15 @@ class GeomidNode(Managed, Node):
 
     def fail(self, what: str, error: Exception) -> None:
         """Report an exception in the log and the next diagnostics."""
-        sentence = f"{what}: {type(error).__name__}: {error}"
-        count_reason(self._failures, sentence)
-        self._console.error(sentence)
+        self._console.error(self._supervisor.failures.add(what, error))
 
     def _publish_diagnostics(self) -> None:
         self._supervisor.lock_absent_joints()
         self._supervisor.restart_hung_threads()
         status = self._status()
-        array = self._diagnostics.array(status, self._search.status, self._supervisor.checkpoints)
-        self._console.log_complaints(self._diagnostics.complaints)
+        checkpoints = self._supervisor.checkpoints
+        array = self._diagnostics.array(status, self._search.status, checkpoints.status if checkpoints else None)
+        self._console.log_complaints(self._diagnostics.errors, self._diagnostics.warnings)
         self._console.log_events(self._news.since(status))
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
@@ -296,7 +297,7 @@ class GeomidNode(Managed, Node):
             status,
             problems=tuple(filter(None, problems)),
             warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
-            failures=self._failures + status.failures,
+            failures=self._supervisor.failures.counts,
             accounts=self._ledger.topics,
             configured=self._configured,
         )
@@ -357,3 +358,55 @@ class GeomidNode(Managed, Node):
             self._dashboard.close()
         self.deactivate()
         self.clean_up()
+
+    def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        """Answer that the state does not allow a transition: rclpy raises an error instead of an answer."""
+        try:
+            return change(request, response)
+        except RuntimeError as error:  # raised by rclpy
+            self.fail("a transition failed", error)
+            response.success = False
+            return response
+
+    def _outcome(self, act: Callable[[], None]) -> TransitionCallbackReturn:
+        """Act for a transition, and report in the log and the diagnostics why it fails."""
+        try:
+            act()
+        except GeomidError as error:
+            self._problem = ""
+            self._report(str(error))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001 rclpy would ignore it silently
+            self.fail("a transition failed", error)
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        return self._outcome(self.configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        super().on_activate(state)
+        outcome = self._outcome(self.activate)
+        if outcome != TransitionCallbackReturn.SUCCESS:
+            self.on_deactivate(state)
+        return outcome
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        super().on_deactivate(state)
+        return self._outcome(self.deactivate)
+
+    def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        return self._outcome(self.clean_up)
+
+    def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        return self._outcome(self.close)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Called by rclpy."""
+        self.on_deactivate(state)
+        return self.on_cleanup(state)

@@ -19,13 +19,13 @@ from geomid_ros.estimation.estimate import Estimate, LinkEstimate, effort_deviat
 from geomid_ros.exports.weighed_payload import Payload
 from geomid_ros.files.schema import FORMAT
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.live.effort_predictor import EffortPredictor
 from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Listener
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion
 from geomid_ros.monitoring.payload_watch import CarriedPayload
-from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.session import Session, identified_urdf
 from geomid_ros.types import FloatArray
 
@@ -40,15 +40,15 @@ def latched(depth: int = 1) -> QoSProfile:
 class Outputs(Listener):
     """Publishes inertias, predicted efforts, the identified URDF, markers and findings, from any thread."""
 
-    def __init__(self, node: Node, create: Callable[..., Publisher], streaming: Streaming) -> None:
+    def __init__(self, node: Node, create: Callable[..., Publisher], predictor: EffortPredictor) -> None:
         """
         Args:
             node: publishes its results.
             create: its method that makes publishers.
-            streaming: predicts with each new estimate.
+            predictor: predicts with each new estimate.
         """
         self._node = node
-        self._streaming = streaming
+        self._predictor = predictor
         self._inertias = create(InertiaStamped, "~/inertias", latched(256))
         self._predictions = create(JointState, "~/predicted_joint_states", 1000)
         self._deviations = create(JointState, "~/predicted_efforts_std", 1000)
@@ -70,7 +70,7 @@ class Outputs(Listener):
 
     def on_estimate(self, session: Session, estimate: Estimate) -> None:
         """Publish an estimate, and predict with it."""
-        self._streaming.set_model(session, estimate)
+        self._predictor.set_model(session, estimate)
         self.publish_estimate(session, estimate)
 
     def publish_estimate(self, session: Session, estimate: Estimate) -> None:
@@ -89,7 +89,7 @@ class Outputs(Listener):
 
     def on_payload(self, carried: CarriedPayload | None) -> None:
         """Publish the payload that was picked up, and predict with it; all zeros after it was put down."""
-        self._streaming.set_payload(carried)
+        self._predictor.set_payload(carried)
         self._link = carried.link if carried is not None else self._link
         stamp = self._node.get_clock().now().nanoseconds
         message = InertiaStamped() if carried is None else inertia_message(carried.link, carried.parameters, stamp)
@@ -121,19 +121,12 @@ def inertia_message(link: str, parameters: FloatArray, stamp: int) -> InertiaSta
 
 
 def _publish_efforts(publisher: Publisher, robot: Robot, samples: Samples, efforts: FloatArray) -> None:
-    for index in range(len(samples)):
-        publisher.publish(_joint_state(robot, samples, index, efforts[index]))
-
-
-def _joint_state(robot: Robot, samples: Samples, index: int, efforts: FloatArray) -> JointState:
-    """Return the filtered motion of one sample with these efforts; its stamp is that of the data."""
-    message = JointState()
-    message.header.stamp = ros_time(int(samples.stamps[index]))
-    message.name = list(robot.joint_names)
-    message.position = samples.position[index].tolist()
-    message.velocity = samples.velocity[index].tolist()
-    message.effort = efforts.tolist()
-    return message
+    """Publish the filtered motion of samples with these ``efforts (N, joints)``, stamped as the data."""
+    numbers = (samples.stamps, samples.position, samples.velocity, efforts)
+    for stamp, position, velocity, effort in zip(*(array.tolist() for array in numbers), strict=True):
+        message = JointState(name=robot.joint_names, position=position, velocity=velocity, effort=effort)
+        message.header.stamp = ros_time(stamp)
+        publisher.publish(message)
 
 
 def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:

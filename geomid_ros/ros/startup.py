@@ -37,20 +37,27 @@ def starting_ros() -> Iterator[None]:
 
 
 @contextmanager
-def running_node(name: str, **options: Any) -> Iterator[Node]:
-    """Run a node with these ``options`` of rclpy. Signals are handled by the caller: rclpy's handlers would invalidate
-    the publishers while they publish."""
+def running_ros() -> Iterator[None]:
+    """Run ROS inside the context. Signals are handled by the caller: rclpy's handlers would invalidate the publishers
+    while they publish."""
     with starting_ros():
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
+        yield
+    finally:
+        try_shutdown()
+
+
+@contextmanager
+def running_node(name: str, **options: Any) -> Iterator[Node]:
+    """Run ROS and a node with these ``options`` of rclpy."""
+    with running_ros():
         with starting_ros():
             node = rclpy.create_node(name, **options)
         try:
             yield node
         finally:
             node.destroy_node()
-    finally:
-        try_shutdown()
 
 
 def _security() -> str:

@@ -12,12 +12,9 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.effort_predictor import EffortPredictor, Predicted
 from geomid_ros.live.inbox import Received
-from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.ros.inputs import Inputs
-from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES
 
 _PERIOD = 5e-3  # [s] between polls for messages, each of which costs as much as a message
@@ -26,31 +23,24 @@ _PERIOD = 5e-3  # [s] between polls for messages, each of which costs as much as
 class Streaming:
     """Publishes ``~/streamed_joint_states`` while it has subscribers, and keeps the messages for the worker."""
 
-    def __init__(self, node: Node, inputs: Inputs, warn: Callable[[str], None]) -> None:
+    def __init__(self, node: Node, inputs: Inputs, predictor: EffortPredictor, warn: Callable[[str], None]) -> None:
         """
         Args:
             node: publishes.
             inputs: where messages wait.
+            predictor: predicts them.
             warn: receives the reason why messages are not streamed.
         """
         self._inputs = inputs
         self._publisher = node.create_publisher(JointState, "~/streamed_joint_states", 1000)
-        self._stream = EffortPredictor()
+        self._predictor = predictor
         self._early: list[Received] = []
         self._warn = warn
         self._warned: set[str] = set()
 
-    def set_model(self, session: Session, estimate: Estimate) -> None:
-        """Predict with an estimate from now on. May be called in any thread."""
-        self._stream.set_model(session, estimate)
-
-    def set_payload(self, carried: CarriedPayload | None) -> None:
-        """Predict with this payload from now on, or with none. May be called in any thread."""
-        self._stream.set_payload(carried)
-
     def forget(self) -> None:
         """Predict nothing until the next estimate."""
-        self._stream.forget()
+        self._predictor.forget()
         self._warned.clear()
 
     def drain(self) -> list[Received]:
@@ -61,13 +51,13 @@ class Streaming:
     @property
     def active(self) -> bool:
         """True if there is a subscriber, and an estimate to predict with."""
-        return self._stream.ready and bool(self._publisher.get_subscription_count())
+        return self._predictor.ready and bool(self._publisher.get_subscription_count())
 
     def wait(self, seconds: float) -> None:
         """Wait, and predict messages meanwhile. An error is raised, and stops predictions until the next estimate."""
         end = time.monotonic() + seconds
         if self._publisher.get_subscription_count():
-            self._say(self._stream.obstacle)
+            self._say(self._predictor.obstacle)
         while self.active and time.monotonic() < end:
             time.sleep(_PERIOD)
             self._predict()
@@ -77,14 +67,14 @@ class Streaming:
         messages, handle = self._inputs.poll(JOINT_STATES), self._publisher.handle
         self._early += messages
         try:
-            for predicted in self._stream.predict([message.data for message in messages]):
+            for predicted in self._predictor.predict([message.data for message in messages]):
                 with handle:
                     for data in serialised(predicted):
                         handle.publish_raw(data)
         except Exception:
             self.forget()
             raise
-        for reason in tuple(self._stream.refused):
+        for reason in tuple(self._predictor.refused):
             self._say(reason)
 
     def _say(self, reason: str) -> None:

@@ -11,7 +11,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
@@ -41,7 +41,7 @@ def solved(worker: Worker) -> Estimate | GeomidError:
 def test_it_is_an_error_in_the_same_words_until_a_reset() -> None:
     of_bag = session(effort_gain=-1.0)
     read_bags(of_bag, Bags(fitted=[BAGS / "arm3"]), lambda _: None)
-    worker = Worker(session(effort_gain=-1.0), 3600.0, Listener())
+    worker = Worker(session(effort_gain=-1.0), 3600.0, Listener(), Failures())
     try:
         fed(worker)
         assert isinstance(solved(worker), Estimate)
@@ -60,7 +60,7 @@ def test_a_remark_is_a_warning_in_the_same_words_until_a_reset() -> None:
     of_bag = session(gravity=tilted)
     read_bags(of_bag, Bags(fitted=[BAGS / "arm3"]), lambda _: None)
     (remark,) = of_bag.review.recorded.remarks
-    worker = Worker(session(gravity=tilted), 3600.0, Listener())
+    worker = Worker(session(gravity=tilted), 3600.0, Listener(), Failures())
     try:
         fed(worker)
         assert isinstance(solved(worker), Estimate)

@@ -12,7 +12,7 @@ from files.recordings import Recorded
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.session import document
@@ -32,7 +32,7 @@ class Direct(Rig):
         self.arrays = []
         self._cases = self.told_at = 0
         self._diagnostics = Diagnostics(self.name)
-        self.worker = Worker(self.session, SOLVE_PERIOD, Listener())
+        self.worker = Worker(self.session, SOLVE_PERIOD, Listener(), Failures())
 
     def send(self, items: Iterable[Recorded], _: float = 0.0) -> None:
         """Let messages be taken."""

@@ -112,6 +112,17 @@ def test_they_are_locked_when_all_had_the_time_to_be_heard(node: tuple[Superviso
     assert supervisor.worker.session.identifier.counts.taken > 100, "all is settled: no rows are lost"
 
 
+def test_failures_are_counted_on_though_another_worker_takes_over(node: tuple[Supervisor, list[str]]) -> None:
+    """Else diagnostics, which tell what is new since the last ones, would tell nothing of the next one."""
+    supervisor, _ = node
+    for count in (1, 2):
+        supervisor.build(with_gripper(), "test")
+        assert supervisor.worker is not None
+        with supervisor.worker.failures.counted("this failed"):
+            raise ZeroDivisionError
+        assert supervisor.worker.status(active=True).failures == {"this failed: ZeroDivisionError: ": count}
+
+
 def test_they_move_again_when_they_are_heard(node: tuple[Supervisor, list[str]], clock: Clock) -> None:
     supervisor, _ = node
     for finger, expected in ((False, ARM), (True, (*ARM, FINGER))):

@@ -21,7 +21,7 @@ from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.threads import Activity
 from geomid_ros.ros import console as module
 from geomid_ros.ros.console import AGAIN, Console
-from geomid_ros.ros.diagnostics import Complaint, Diagnostics
+from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Account, Ledger
 
@@ -64,7 +64,7 @@ class TestConsole:
         log = Lines()
         console = Console(log)
         for second in range(301):
-            console.log_complaints([Complaint(f"joint_states rejected: {second} messages", False)])
+            console.log_complaints([], [f"joint_states rejected: {second} messages"])
             clock[0] += 1.0
         assert [line for line, _ in log.lines] == ["warning"] * (300 // int(AGAIN))
 
@@ -72,7 +72,7 @@ class TestConsole:
         log = Lines()
         console = Console(log)
         for second in range(20):
-            console.log_complaints([Complaint("a late message", False)] if second % 3 == 0 else [])
+            console.log_complaints([], ["a late message"] if second % 3 == 0 else [])
             clock[0] += 1.0
         assert log.lines == []
 
@@ -80,7 +80,7 @@ class TestConsole:
         log = Lines()
         console = Console(log)
         for _ in range(2):
-            console.log_complaints([Complaint("a", True), Complaint("b", False), Complaint("c", True)])
+            console.log_complaints(["a", "c"], ["b"])
             clock[0] += 1.0
         assert log.lines == [("error", "a; c"), ("warning", "b")]
 
@@ -89,7 +89,7 @@ class TestConsole:
         for number in range(1000):
             name = "".join(chr(97 + int(digit)) for digit in str(number))
             for _ in range(2):
-                console.log_complaints([Complaint(f"joint '{name}' is missing", False)])
+                console.log_complaints([], [f"joint '{name}' is missing"])
             clock[0] += 1.0
         assert len(console._logged) <= 200
 
@@ -228,15 +228,15 @@ def test_90_messages_of_which_nothing_comes_are_a_warning() -> None:
     said = []
     for second in range(12):
         diagnostics.array(status(100 * second, 5))
-        said.append([c.sentence for c in diagnostics.complaints if "have yielded no rows" in c.sentence])
+        said.append([warning for warning in diagnostics.warnings if "have yielded no rows" in warning])
     assert not any(said[:5])
     assert all(said[6:])
     assert "check that joint_states and /wrench are stamped by the same clock" in said[-1][0]
     diagnostics.array(status(1200, 6))
-    assert not any("yielded no rows" in c.sentence for c in diagnostics.complaints)
+    assert not any("yielded no rows" in warning for warning in diagnostics.warnings)
     for _ in range(9):  # nothing is accepted: something else is wrong, and said
         diagnostics.array(status(1200, 6))
-    assert not any("yielded no rows" in c.sentence for c in diagnostics.complaints)
+    assert not any("yielded no rows" in warning for warning in diagnostics.warnings)
 
 
 class Hanging:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import itertools
 import json
+import logging
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -23,13 +25,15 @@ from signals.feeding import completed
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.archive import decoded
 from geomid_ros.files.checkpoints import Checkpoint
-from geomid_ros.live import saving, threads
+from geomid_ros.live import saving, supervisor, threads
 from geomid_ros.live.saving import Checkpoints
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
+from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
+from geomid_ros.signals.ledger import Ledger
 
 from .observer import latched
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages, staged
@@ -183,10 +187,10 @@ def test_a_disk_that_fails_is_reported_and_tried_again(tmp_path: Path, monkeypat
         with monkeypatch.context() as patch:
             patch.setattr(os, "fsync", fail)
             fed(of, HALF, len(MESSAGES))
-            wait_until(lambda: "No space left on device" in kept.status.error)
+            wait_until(lambda: "No space left on device" in kept.status.problem)
             assert rows_safe(kept) < of.identifier.rows
         wait_until(lambda: rows_safe(kept) == of.identifier.rows)
-        assert kept.status.error == ""
+        assert kept.status.problem == ""
     assert not list((tmp_path / "idle").glob("checkpoint*")), "there was nothing to write"
     assert rows(tmp_path) == of.identifier.rows
 
@@ -200,13 +204,13 @@ def test_a_disk_that_is_slow_is_reported_and_waited_for_by_nobody(
     with closing(Checkpoints(of, tmp_path, SOON)) as kept:
         fed(of, 0, HALF)
         assert writing.wait(PATIENCE)
-        assert kept.status.error == ""
+        assert kept.status.problem == ""
         now[0] += 2.0 * SOON
-        assert "the disk is slow" in kept.status.error
+        assert "the disk is slow" in kept.status.problem
         fed(of, HALF, len(MESSAGES))
         assert rows_safe(kept) == 0
         may_go_on.set()
-        wait_until(lambda: rows_safe(kept) == of.identifier.rows and not kept.status.error)
+        wait_until(lambda: rows_safe(kept) == of.identifier.rows and not kept.status.problem)
 
 
 def test_the_end_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,6 +223,23 @@ def test_the_end_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert rows_safe(kept) == 0
     may_go_on.set()
     wait_until(lambda: rows_safe(kept) == of.identifier.rows)
+
+
+def test_the_next_session_waits_for_a_slow_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It needs the folder, which the one before has until its last checkpoint is written."""
+    parameters = {**FLAT, "checkpoint.folder": str(tmp_path), "checkpoint.period": 3600.0, "solve_period": 3600.0}
+    node = Supervisor(Configuration(parameters), Ledger(), logging.getLogger(), Listener(), None)
+    monkeypatch.setattr(supervisor, "HANDOVER", PATIENCE)
+    node.build(description("arm3"), "arm3.urdf")
+    assert node.worker is not None
+    rows = fed(node.worker.session, 0, HALF).identifier.rows
+    with monkeypatch.context() as slow:
+        slow.setattr(os, "fsync", lambda _: time.sleep(saving._PATIENCE))
+        node.build(description("arm3"), "arm3.urdf")
+    assert node.checkpoints is not None
+    assert node.checkpoints.status.problem == ""
+    assert f"with {rows} rows" in node.checkpoints.beginning
+    node.close()
 
 
 def test_what_was_to_be_forgotten_is(tmp_path: Path) -> None:
@@ -255,4 +276,4 @@ def working(of: Session) -> tuple[Worker, list[WarmStart | None]]:
     starts: list[WarmStart | None] = []
     solve = of.identifier.solve
     of.identifier.solve = lambda warm=None: starts.append(warm) or solve(warm)  # type: ignore[method-assign]
-    return Worker(of, SOON, Listener()), starts
+    return Worker(of, SOON, Listener(), Failures()), starts

@@ -55,6 +55,13 @@ def test_what_was_told_is_not_told_again() -> None:
     assert said(before, after) == (WARN, "/wrench rejected: late (2 messages); /wrench lost (1 messages)")
 
 
+def test_all_counts_are_counted_from_an_earlier_status() -> None:
+    before = status(rows=5, rows_made=9, rows_rejected=Counter({"a": 4}), failures=Counter({"f": 1}))
+    after = status(rows=7, rows_made=14, rows_rejected=Counter({"a": 7}), failures=Counter({"f": 3}))
+    new = after.since(before)
+    assert (new.rows, new.rows_made, new.rows_rejected, new.failures) == (2, 5, {"a": 3}, {"f": 2})
+
+
 def test_who_is_silent_is_named() -> None:
     before = status()
     after = status({"/wrench": Account(accepted=21)})

@@ -214,7 +214,7 @@ def test_a_solve_of_another_session_is_waited_for(solving: SolvingProcess) -> No
 
 
 def test_a_solve_that_is_given_up_ends_with_an_error(solving: SolvingProcess) -> None:
-    """The next one is made by another process; while there is none, nothing is given up."""
+    """The next one is made by another process, at once however many were given up; while there is none, nothing is."""
     solving.give_up()
     ours, theirs = session(), session()
     ours.identifier.solve_with(solving.remote(EstimationTask.solve))
@@ -223,6 +223,12 @@ def test_a_solve_that_is_given_up_ends_with_an_error(solving: SolvingProcess) ->
     wait_until(solving._solving.locked)
     assert solving.warning == ""
     solving.give_up()
+    thread.join(PATIENCE)
+    assert str(given_up[0]) == "the solve was aborted"
+    before = pid(solving)
+    thread, given_up = in_thread(ours.identifier)
+    wait_until(lambda: pid(solving) != before)
+    assert solving.give_up()
     thread.join(PATIENCE)
     assert str(given_up[0]) == "the solve was aborted"
     assert_same(ours.identifier.solve(), theirs.identifier.solve())

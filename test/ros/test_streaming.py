@@ -13,6 +13,7 @@ from live.test_stream import identification, messages
 
 import geomid_ros
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.live.effort_predictor import EffortPredictor
 from geomid_ros.live.inbox import Received
 from geomid_ros.ros.node import GeomidNode
 from geomid_ros.ros.streaming import Streaming
@@ -55,7 +56,8 @@ class Listened:
             create_publisher=lambda *_: publisher,
         )
         inputs: Any = SimpleNamespace(poll=self._take)
-        self.streaming = Streaming(node, inputs, self.logged.append)
+        self.predictor = EffortPredictor()
+        self.streaming = Streaming(node, inputs, self.predictor, self.logged.append)
 
     def _take(self, topic: str | None = None) -> list[Received]:
         taken = [message for message in self.waiting if topic in (None, message.topic)]
@@ -66,7 +68,7 @@ class Listened:
         """Let messages come."""
         self.waiting = [Received(JOINT_STATES, data, 0.0) for data in sent]
         self.streaming.wait(0.02)
-        while self.waiting and self.streaming._stream.ready:  # the machine is busy
+        while self.waiting and self.predictor.ready:  # the machine is busy
             self.streaming.wait(0.02)
 
 
@@ -74,7 +76,7 @@ def test_messages_that_were_predicted_are_taken_with_all_others_as_they_came(
     identification: geomid_ros.Identification,
 ) -> None:
     listened = Listened()
-    listened.streaming.set_model(identification.session, identification.estimate)
+    listened.predictor.set_model(identification.session, identification.estimate)
     wrenches = [Received("/wrench", b"", time) for time in (1.5, 2.5)]
     states = [Received(JOINT_STATES, data, time) for time, data in enumerate(messages()[:3], 1)]
     listened.waiting = [*wrenches, *states[:2]]
@@ -97,7 +99,7 @@ def test_a_message_that_cannot_be_predicted_is_told_once(
     merge: bool, why: str, identification: geomid_ros.Identification
 ) -> None:
     listened = Listened()
-    listened.streaming.set_model(session(merge_joint_states=merge), identification.estimate)
+    listened.predictor.set_model(session(merge_joint_states=merge), identification.estimate)
     part = messages(("joint1", "joint2"))[:3]
     for _ in range(2):
         listened.hear([*part, *messages()[:2]])
@@ -113,7 +115,7 @@ def test_a_robot_that_cannot_be_predicted_is_told_who_subscribes(
     floating: bool, why: str, subscribers: int, identification: geomid_ros.Identification
 ) -> None:
     listened = Listened(subscribers)
-    listened.streaming.set_model(session(floating_base=floating, **HELD), identification.estimate)
+    listened.predictor.set_model(session(floating_base=floating, **HELD), identification.estimate)
     for _ in range(2):
         listened.hear(messages()[:2])
     assert not listened.streamed

@@ -19,7 +19,7 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import inbox
 from geomid_ros.live import worker as module
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK
@@ -49,7 +49,7 @@ class Watched(Listener):
         self.estimates: queue.Queue[Estimate] = queue.Queue()
         self.samples = 0
         self.publish: Any = self.estimates.put
-        self.worker = Worker(self.session, solve_period, self)
+        self.worker = Worker(self.session, solve_period, self, Failures())
 
     def on_samples(self, session: Session, samples: Samples, estimate: Estimate) -> None:  # noqa: ARG002
         self.samples += len(samples)

@@ -19,7 +19,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import worker as module
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.status import Listener, Status
+from geomid_ros.live.status import Failures, Listener, Status
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.ros.diagnostics import Diagnostics
@@ -97,7 +97,7 @@ class Working:
 
     def __init__(self, period: float = 3600.0, **values: Any) -> None:
         self.session = session(**values)
-        self.worker = Worker(self.session, period, Listener())
+        self.worker = Worker(self.session, period, Listener(), Failures())
 
     def close(self) -> None:
         self.worker.close()

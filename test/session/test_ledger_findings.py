@@ -21,7 +21,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import worker as live
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.status import Listener
+from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.configuration import Configuration
@@ -102,7 +102,7 @@ def from_bag(messages: list[Recorded], folder: Path) -> tuple[Session, Estimate]
 def from_node(messages: list[Recorded]) -> tuple[Session, Estimate, Any]:
     """As the node's threads take it, message by message; with the status that its diagnostics are made of."""
     found = session()
-    with closing(Worker(found, 3600.0, Listener())) as worker:
+    with closing(Worker(found, 3600.0, Listener(), Failures())) as worker:
         for item in messages:
             worker.enqueue([Received(*item.raw, time.perf_counter())])
         estimate = final_estimate(worker)
@@ -321,6 +321,5 @@ def assert_named_by_diagnostics(status: Any, case: Case) -> None:
     diagnostics = Diagnostics("geomid")
     diagnostics.array(status)
     for part in filter(None, (case.refused, case.noted, case.cause)):
-        levels = [complaint.error for complaint in diagnostics.complaints if part in complaint.sentence]
-        assert levels, diagnostics.complaints
-        assert case.doubtful in levels
+        sentences = diagnostics.errors if case.doubtful else diagnostics.warnings
+        assert any(part in sentence for sentence in sentences), (diagnostics.errors, diagnostics.warnings)

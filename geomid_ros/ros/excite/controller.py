@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 from builtin_interfaces.msg import Duration
 from rclpy.node import Node
@@ -21,25 +21,8 @@ NOT_ACCEPTED = "not accepted; check that the controller is active and has these 
 """Reason that is reported for a rejected goal, as the rejection itself has none."""
 
 
-class TrajectoryController(Protocol):
-    """Follows trajectories; each replaces the previous one at once. ``name``: of its topic or action."""
-
-    name: str
-
-    @property
-    def ready(self) -> bool:
-        """True if the controller is available."""
-
-    @property
-    def problem(self) -> str:
-        """Reason why it does not follow the trajectory, if known."""
-
-    def send(self, trajectory: Trajectory) -> None:
-        """Let the controller follow a trajectory from now on."""
-
-
 class TopicController:
-    """Publishes on ``<controller>/joint_trajectory``."""
+    """Publishes on ``<controller>/joint_trajectory``; ``name``: of this topic."""
 
     def __init__(self, node: Node, controller: str) -> None:
         self.name = f"{controller}/joint_trajectory"
@@ -47,18 +30,21 @@ class TopicController:
 
     @property
     def ready(self) -> bool:
+        """True if the controller is available."""
         return bool(self._publisher.get_subscription_count() > 0)
 
     @property
     def problem(self) -> str:
+        """Reason why it does not follow the trajectory, if known."""
         return "" if self.ready else f"the controller is gone: nothing subscribes to {self.name} any more"
 
     def send(self, trajectory: Trajectory) -> None:
+        """Let the controller follow a trajectory from now on."""
         self._publisher.publish(message_of(trajectory))
 
 
 class ActionController:
-    """Sends goals to ``<controller>/follow_joint_trajectory``. A goal preempts the previous one."""
+    """Sends goals to ``<controller>/follow_joint_trajectory``; ``name``: of this action."""
 
     def __init__(self, node: Node, controller: str, action: Any, client: Callable[..., Any]) -> None:
         """``action``: control_msgs' FollowJointTrajectory; ``client``: makes an action client."""
@@ -70,13 +56,16 @@ class ActionController:
 
     @property
     def ready(self) -> bool:
+        """True if the controller is available."""
         return bool(self._client.server_is_ready())
 
     @property
     def problem(self) -> str:
+        """Reason why it does not follow the trajectory, if known."""
         return self._refusal or ("" if self.ready else f"the controller is gone: nothing serves {self.name} any more")
 
     def send(self, trajectory: Trajectory) -> None:
+        """Let the controller follow a trajectory from now on."""
         goal = self._action.Goal()
         goal.trajectory = message_of(trajectory)
         self._goals += 1
@@ -96,6 +85,10 @@ class ActionController:
     def _refuse(self, number: int, reason: str) -> None:
         if number == self._goals:  # a replaced goal is expected to fail
             self._refusal = f"the controller aborted the motion: {reason}"
+
+
+TrajectoryController: TypeAlias = TopicController | ActionController
+"""Follows trajectories; each that it is sent replaces the previous one at once."""
 
 
 def message_of(trajectory: Trajectory) -> JointTrajectory:
@@ -118,7 +111,11 @@ def find_controller(node: Node, controller: str, look: Callable[[], object]) -> 
     Raises:
         InputError: it is not available; the error names the available ones.
     """
-    interfaces: list[TrajectoryController] = [*_action(node, controller), TopicController(node, controller)]
+    interfaces: list[TrajectoryController] = [TopicController(node, controller)]
+    if (action := follow_joint_trajectory()) is not None:
+        from rclpy.action.client import ActionClient  # noqa: PLC0415 only with control_msgs
+
+        interfaces.insert(0, ActionController(node, controller, action, ActionClient))
     ready: TrajectoryController | None = None
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
@@ -151,11 +148,3 @@ def follow_joint_trajectory() -> Any:
         return import_module("control_msgs.action").FollowJointTrajectory
     except ImportError:
         return None
-
-
-def _action(node: Node, controller: str) -> list[TrajectoryController]:
-    if (action := follow_joint_trajectory()) is None:
-        return []
-    from rclpy.action.client import ActionClient  # noqa: PLC0415 only with control_msgs
-
-    return [ActionController(node, controller, action, ActionClient)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -24,6 +23,7 @@ from std_msgs.msg import String
 from geomid_ros.errors import GeomidError
 from geomid_ros.excitation.motion_monitor import JointState
 from geomid_ros.live.inbox import MOST_AT_ONCE
+from geomid_ros.live.threads import start_daemon
 from geomid_ros.ros.outputs import latched
 from geomid_ros.signals.messages import JOINT_STATES, parse
 from geomid_ros.simulation.bag import BagWriter
@@ -58,8 +58,7 @@ class Recorder:
             raise GeomidError(f"{path}: cannot be written ({error})") from error
         self._topics = {topic: self._bag.topic(topic, kind) for topic, kind in topics.items()}
         self._waiting: SimpleQueue[tuple[str, int, bytes] | None] = SimpleQueue()
-        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
-        self._thread.start()
+        self._thread = start_daemon("recorder", self._work)
 
     def __enter__(self) -> Self:
         return self

@@ -53,11 +53,6 @@ class MotionRequest:
     urdf: tuple[str, str] | None
     options: RunOptions
 
-    @property
-    def slowed(self) -> Trajectory:
-        """Motion at the requested speed."""
-        return self.motion.at_speed(self.speed)
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -101,8 +96,9 @@ class MotionRun:
         self._urdf, source = order.urdf or self._description()
         robot = Robot(self._urdf, source=source)
         self._limits = RobotLimits.of(robot, order.motion.joints, order.source)
-        check_motion(order.slowed, self._limits, order.source)
-        self.plan = self._planned(robot, self._heard())
+        motion = order.motion.at_speed(order.speed)
+        check_motion(motion, self._limits, order.source)
+        self.plan = self._planned(robot, motion, self._heard())
         self._stopping = stopping_accelerations(order.motion, self._limits.speeds)
 
     def _description(self) -> tuple[str, str]:
@@ -123,10 +119,9 @@ class MotionRun:
         problem = f"no data of {', '.join(missing)}" if missing else "no message has finite positions of all joints"
         raise InputError(f"{topic}: {problem}; {self._order.source} moves {', '.join(self._order.motion.joints)}")
 
-    def _planned(self, robot: Robot, state: JointState) -> Plan:
+    def _planned(self, robot: Robot, motion: Trajectory, state: JointState) -> Plan:
         if outside := self._limits.out_of_range(state.position):
             raise InputError(f"{outside} in the URDF: move it back first")
-        motion = self._order.slowed
         silence = self._order.options.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
         postures, notes = self._postures(robot, state.position)
         return Plan(
