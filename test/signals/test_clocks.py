@@ -220,11 +220,11 @@ def test_times_from_the_motion_do_not_depend_on_blocks() -> None:
     stamps[300:310] = stamps[300] + np.arange(10)
     stamps[600:] += 5_000 * MS
     velocity[700:720, 1] = np.nan
-    expected = MotionClock(3, 500 * MS).times(stamps, position, velocity)
+    expected = MotionClock(3, 1e9 / 30).times(stamps, position, velocity)
     assert np.all(np.diff(expected) > 0)
     assert np.any(expected != stamps)
     for size in (1, 7, 400):
-        clock = MotionClock(3, 500 * MS)
+        clock = MotionClock(3, 1e9 / 30)
         parts = [slice(begin, begin + size) for begin in range(0, len(stamps), size)]
         times = [clock.times(stamps[part], position[part], velocity[part]) for part in parts]
         np.testing.assert_array_equal(np.concatenate(times), expected)
@@ -253,6 +253,6 @@ def test_right_stamps_are_kept_whatever_else_is_wrong(velocities: str, positions
     stamps, motion = regular(0.01, 20.0), Motion()
     position = WRONG_POSITIONS[positions](motion.derivative(stamps, 0) @ MOVING[moving])
     velocity = WRONG_VELOCITIES[velocities](motion.derivative(stamps, 1) @ MOVING[moving])
-    clock = MotionClock(3, 500 * MS)
+    clock = MotionClock(3, PERIOD)
     np.testing.assert_array_equal(clock.times(stamps, position, velocity), stamps)
     assert not clock.is_used
