@@ -222,7 +222,7 @@ def _described(part: Finding | LinkChange) -> str:
         return part.sentence
     if part.confidence != "ambiguous":
         return _sized(part)
-    return " or ".join(map(title, (part, *part.rivals[:MOST_LISTED])))
+    return " or ".join([title(part), *map(title, part.rivals[:MOST_LISTED])])
 
 
 def _few(parts: Sequence[str]) -> str:

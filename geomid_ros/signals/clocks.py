@@ -93,34 +93,41 @@ class MotionClock:
 
     In a step from one message to the next, joints move by d at the mean velocity v. If the stamps are right, d is v
     times the time between them, but for noise. Else the time that passed is ``sum w d v / sum w v^2`` over the joints,
-    each with the weight w of its errors ``d - v time``. The stamps are wrong if this explains most of the errors, and
-    differs from step to step: that of velocities which lag changes slowly. Steps in which at least two joints move
-    count, as noise is not common to them. The first :data:`FEWEST_IN_BURSTS` decide.
+    each with the weight w of its errors ``d - v time``; that its mean differs is an error of the velocities. A lag is
+    forgotten slowly, as the age of the measurements is unknown.
+
+    These times are used if positions alone bear them out: their rates ``d / time`` must bend far less from step to step
+    than with the time between stamps. Steps in which at least two joints move count, as noise is not common to them.
+    The first :data:`FEWEST_IN_BURSTS` decide whether to look further.
     """
 
-    _OFF = 0.05  # mean difference of both times, as a fraction, above which the velocities have another unit
-    _LEAST = 0.01  # RMS difference that matters
+    _FEWEST = 100  # steps that decide
+    _FORGOTTEN = 0.01  # fraction of the lag, in each step
 
-    def __init__(self, joints: int, max_gap: int) -> None:
+    def __init__(self, joints: int, period: float) -> None:
         """
         Args:
             joints: number of joints.
-            max_gap: [ns] messages further apart are not compared.
+            period: usual time between messages [ns]. After lost messages the mean velocity is unknown.
         """
-        self._max_gap = max_gap
+        self._longest = MISSED * period
+        self._is_open = joints > 1
         self.is_used = False
         """True if the stamps are wrong, and times are computed from the motion."""
-        self._may_be_used = joints > 1
-        self._lag = 0  # [ns] from the time of the last message to its stamp
+        self._lag = 0  # [ns] of the last message
         self._count = 0  # steps in which joints move
         self._squares = np.zeros((1, joints))  # of the errors, summed over them
-        self._sums = np.zeros((1, 6))  # over them, see _excess
+        self._scatter, self._passed, self._bends = (
+            np.zeros((1, 3)),
+            np.zeros((1, 2)),
+            np.zeros((1, 2)),
+        )  # sums over them
         self.restart()
 
     def restart(self) -> None:
         """Restart after a clock was set or positions leapt."""
         self._last: tuple[int, FloatArray, FloatArray] | None = None
-        self._share: FloatArray = np.ones(1)  # of the time between stamps that passed in the last step
+        self._rates = np.full((2, 2, self._squares.shape[1]), np.nan)  # of the last two steps, by stamps and motion
 
     def times(self, stamps: IntArray, positions: FloatArray, velocities: FloatArray) -> IntArray:
         """Return the times [ns] of the next messages ``(N,)``, which increase.
@@ -129,59 +136,75 @@ class MotionClock:
             stamps: ``(N,)`` [ns], increasing.
             positions, velocities: ``(N, joints)``; NaN for velocities that are not measured.
         """
-        if not self._may_be_used:
+        if not self._is_open:
             return stamps
         stamp, position, velocity = self._last or (int(stamps[0]), positions[0], velocities[0])
         self._last = int(stamps[-1]), positions[-1].copy(), velocities[-1].copy()
         waited = steps(stamps, stamp).astype(float)
-        mean = velocities - 0.5 * steps(velocities, velocity)
-        moves = (waited > 0.0) & (waited <= self._max_gap) & (np.sum(np.abs(mean) > REST_SPEED, axis=1) > 1)
-        given = moves[:, None] & np.isfinite(mean)
-        moved, mean = (np.where(given, of, 0.0) for of in (steps(positions, position), mean))
-        if moves.any():
-            excess = waited * self._excess(moved, mean * 1e-9 * waited[:, None], moves)
-        else:
-            excess, self._share = np.zeros(len(stamps)), np.ones(1)
-        if not self.is_used:
-            self._may_be_used = self._count < FEWEST_IN_BURSTS
-            return stamps
-        times = np.empty_like(stamps)
-        for index, (now, step, added) in enumerate(zip(stamps.tolist(), waited.tolist(), excess.tolist(), strict=True)):
-            lag = round((1.0 - _FOLLOWS) * (self._lag + added)) if step <= self._max_gap else 0
-            shortest = max(1, round(step / CLEAR_RATIO)) if step else 0
-            times[index] = max(now - lag, stamp - self._lag + shortest)
-            stamp, self._lag = now, now - int(times[index])
-        return times
+        moved, mean = steps(positions, position), velocities - 0.5 * steps(velocities, velocity)
+        expected = mean * 1e-9 * waited[:, None]
+        is_moving = np.fmin(np.abs(moved), np.abs(expected)) > REST_SPEED * 1e-9 * waited[:, None]
+        is_moving &= np.isfinite(expected)
+        moves = (np.sum(is_moving, axis=1) > 1) & (waited <= self._longest)
+        moved, expected = (np.where(moves[:, None] & np.isfinite(expected), of, 0.0) for of in (moved, expected))
+        counts = self._count + np.cumsum(moves)
+        squares = np.cumsum(np.concatenate([self._squares, (moved - expected) ** 2]), axis=0)[1:]
+        weights = np.divide(counts[:, None], squares, out=np.zeros_like(squares), where=squares > 0.0)
+        share, shown = self._share(moved, expected, weights, counts, waited)
+        used = (counts >= self._FEWEST) & self._bears_out(moved, waited, np.where(moves, share, np.nan), weights)
+        excess = waited * shown * (1.0 - share)
+        if self._count < FEWEST_IN_BURSTS <= counts[-1]:
+            decided = int(np.searchsorted(counts, FEWEST_IN_BURSTS))
+            self._is_open = bool(used[decided])
+            used[decided:] &= self._is_open
+        self.is_used, self._count, self._squares = bool(used[-1]), int(counts[-1]), squares[-1:]
+        return stamps - self._lags(waited, np.where(used, excess, 0.0))
 
-    def _excess(self, moved: FloatArray, expected: FloatArray, moves: BoolArray) -> FloatArray:
-        """Return how much too long the time between stamps is in each step ``(N,)``, as a fraction of it; zero until
-        the stamps are known to be wrong.
+    def _share(
+        self, moved: FloatArray, expected: FloatArray, weights: FloatArray, counts: IntArray, waited: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the share of the time between stamps that passed in each step, relative to its mean, and how much of
+        what the step shows is no noise, each ``(N,)``.
 
         Args:
-            moved, expected: d, and v times the time between stamps, ``(N, joints)``; zero where nothing ``moves (N,)``.
+            moved, expected: d, and v times the time between stamps, ``(N, joints)``; zero where nothing moves.
+            weights: ``(N, joints)``.
+            counts, waited: steps up to each, and time between stamps, ``(N,)``.
         """
-        counts = self._count + np.cumsum(moves)
-        errors = (moved - expected) ** 2
-        squares = np.cumsum(np.concatenate([self._squares, errors]), axis=0)[1:]
-        weights = np.divide(counts[:, None], squares, out=np.zeros_like(squares), where=squares > 0.0)
-        known = _total(weights * expected**2)
-        share = np.divide(_total(weights * expected * moved), known, out=np.ones(len(known)), where=known > 0.0)
-        share = np.maximum(share, 1.0 / CLEAR_RATIO)
-        left = _total(weights * (moved - expected * share[:, None]) ** 2)
-        changes = known * steps(share, self._share) ** 2
-        terms = [_total(weights * errors), left, known, known * share, known * (share - 1.0) ** 2, changes]
-        sums = np.cumsum(np.concatenate([self._sums, np.column_stack(terms)]), axis=0)[1:]
-        self._count, self._squares, self._sums, self._share = int(counts[-1]), squares[-1:], sums[-1:], share[-1:]
-        all_errors, all_left, all_known, shares, jitter, all_changes = sums.T
-        is_wrong = (all_left < all_errors / CLEAR_RATIO) & (all_changes > jitter)
-        is_wrong &= (np.abs(shares - all_known) < self._OFF * all_known) & (jitter > self._LEAST**2 * all_known)
-        is_wrong &= (counts >= FEWEST) & (counts <= FEWEST_IN_BURSTS)
-        used = np.logical_or.accumulate(np.append(self.is_used, is_wrong))[1:]
-        self.is_used = bool(used[-1])
-        # Of what a step shows, the fraction that is no noise (Wiener's filter).
-        signal = (squares.shape[1] - 1.0) * counts * known * jitter
-        shown = np.divide(signal, signal + all_known * all_left, out=np.zeros_like(signal), where=signal > 0.0)
-        return np.asarray(used * shown * (1.0 - share))
+        squares, known = _total(weights * expected**2), np.maximum(_total(weights * expected * moved), 0.0)
+        share = np.divide(known, squares, out=np.ones(len(known)), where=squares > 0.0)
+        errors = _total(weights * (moved - expected * share[:, None]) ** 2) / (weights.shape[1] - 1.0)
+        self._scatter, all_known, jitter, noise = _summed(self._scatter, known, known * (share - 1.0) ** 2, errors)
+        signal = counts * known * jitter  # Wiener's filter
+        shown = np.divide(signal, signal + all_known * noise, out=np.zeros_like(signal), where=signal > 0.0)
+        self._passed, time, passed = _summed(self._passed, shown * waited, shown * waited * share)
+        mean = np.divide(passed, time, out=np.ones(len(time)), where=time > 0.0)
+        return np.clip(share / mean, 1.0 / CLEAR_RATIO, CLEAR_RATIO), shown
+
+    def _bears_out(self, moved: FloatArray, waited: FloatArray, share: FloatArray, weights: FloatArray) -> BoolArray:
+        """True where the rates of positions have bent far less by the motion than by stamps so far ``(N,)``."""
+        times, known = 1e-9 * np.stack([waited, waited * share], axis=1)[:, :, None], ~np.isnan(share)[:, None, None]
+        new = np.full((len(waited), *self._rates.shape[1:]), np.nan)
+        rates = np.concatenate([self._rates, np.divide(moved[:, None], times, out=new, where=known)])
+        self._rates = rates[-2:]
+        bends = np.nan_to_num(_total(weights[:, None] * (rates[2:] - 2.0 * rates[1:-1] + rates[:-2]) ** 2))
+        self._bends, by_stamps, by_motion = _summed(self._bends, *bends.T)
+        return np.asarray(CLEAR_RATIO * by_motion < by_stamps)
+
+    def _lags(self, waited: FloatArray, excess: FloatArray) -> IntArray:
+        """Return the lags [ns] of the next messages ``(N,)``, such that times increase."""
+        lags = np.empty(len(waited), dtype=np.int64)
+        for index, (step, added) in enumerate(zip(waited.tolist(), excess.tolist(), strict=True)):
+            longest = step - max(1.0, step / CLEAR_RATIO) if step else 0.0
+            lags[index] = self._lag = int(min((1.0 - self._FORGOTTEN) * (self._lag + added), self._lag + longest))
+        return lags
+
+
+def _summed(before: FloatArray, *terms: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the last sums ``(1, kinds)`` of some kinds of terms, added to those before, and the sums up to each term
+    of every kind ``(N,)``."""
+    sums = np.cumsum(np.concatenate([before, np.column_stack(terms)]), axis=0)[1:]
+    return sums[-1:], *sums.T
 
 
 def _total(terms: FloatArray) -> FloatArray:

@@ -75,7 +75,7 @@ class Sampler:
         self._ledger = ledger
         self._velocities = VelocityCheck(len(continuous))
         self._clock: RegularClock | None = None  # of joint messages whose stamps are not times of measurement
-        self._motion_clock = MotionClock(len(continuous), self._max_gap)
+        self._motion_clock: MotionClock  # once the period is known
         self._watched = np.zeros(0, dtype=np.int64)  # stamps of the last joint messages
         self._grid: Grid | None = None
         self._streams: dict[str, Stream[Any]] = {}
@@ -105,8 +105,8 @@ class Sampler:
         self._waiting.clear()
         self._newest.clear()
         self._next_instant = 0
-        self._motion_clock.restart()
         if self._grid is not None:
+            self._motion_clock.restart()
             self._open_streams(self._grid)
 
     def _wait(self, accepted: AcceptedMessages) -> None:
@@ -185,6 +185,7 @@ class Sampler:
         except InputError as error:
             raise InputError(f"{error}{self._repeated()}") from error
         self._grid = grid
+        self._motion_clock = MotionClock(len(self._continuous), float(period))
         self._open_streams(grid)
         for accepted in self._waiting:
             self._take(accepted)

@@ -220,11 +220,11 @@ def test_times_from_the_motion_do_not_depend_on_blocks() -> None:
     stamps[300:310] = stamps[300] + np.arange(10)
     stamps[600:] += 5_000 * MS
     velocity[700:720, 1] = np.nan
-    expected = MotionClock(3, 500 * MS).times(stamps, position, velocity)
+    expected = MotionClock(3, 1e9 / 30).times(stamps, position, velocity)
     assert np.all(np.diff(expected) > 0)
     assert np.any(expected != stamps)
     for size in (1, 7, 400):
-        clock = MotionClock(3, 500 * MS)
+        clock = MotionClock(3, 1e9 / 30)
         parts = [slice(begin, begin + size) for begin in range(0, len(stamps), size)]
         times = [clock.times(stamps[part], position[part], velocity[part]) for part in parts]
         np.testing.assert_array_equal(np.concatenate(times), expected)
@@ -253,6 +253,30 @@ def test_right_stamps_are_kept_whatever_else_is_wrong(velocities: str, positions
     stamps, motion = regular(0.01, 20.0), Motion()
     position = WRONG_POSITIONS[positions](motion.derivative(stamps, 0) @ MOVING[moving])
     velocity = WRONG_VELOCITIES[velocities](motion.derivative(stamps, 1) @ MOVING[moving])
-    clock = MotionClock(3, 500 * MS)
+    clock = MotionClock(3, PERIOD)
     np.testing.assert_array_equal(clock.times(stamps, position, velocity), stamps)
     assert not clock.is_used
+
+
+def test_right_stamps_are_kept_where_velocities_are_differences_over_a_nominal_period() -> None:
+    """Then velocities would explain every stamp away: positions, which are smooth in the stamps, say that these are
+    right."""
+    rng = np.random.default_rng(4)
+    stamps = regular(1 / 30, 30.0) + rng.integers(-6 * MS, 6 * MS, 900)
+    position = Motion().derivative(stamps, 0) + 1e-4 * rng.normal(size=(900, 3))
+    velocity = np.diff(position, axis=0, prepend=position[:1]) * 30.0
+    np.testing.assert_array_equal(MotionClock(3, 1e9 / 30).times(stamps, position, velocity), stamps)
+
+
+def test_late_times_do_not_drift_away_from_the_stamps() -> None:
+    """Velocities that are 3 % too large do not move them, and noise of velocities at rest hardly does."""
+    messages = republished(0.0327, 1 / 30, 120.0)
+    stamps = np.array([message.stamp for message in messages])
+    position, velocity = (np.array([getattr(m, key) for m in messages]) for key in ("position", "velocity"))
+    still = np.arange(len(stamps)) > 2000
+    position[still] = position[2000]
+    velocity = np.where(still[:, None], 0.02 * np.random.default_rng(5).normal(size=position.shape), 1.03 * velocity)
+    clock = MotionClock(3, 1e9 / 30)
+    lags = stamps - clock.times(stamps, position, velocity)
+    assert np.any(lags != 0)
+    assert np.max(np.abs(lags)) < 35 * MS
