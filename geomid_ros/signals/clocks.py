@@ -111,17 +111,15 @@ class MotionClock:
             period: usual time between messages [ns]. After lost messages the mean velocity is unknown.
         """
         self._longest = MISSED * period
-        self._is_open = joints > 1
+        self._is_open = joints > 1  # False once the stamps are known to be right
         self.is_used = False
         """True if the stamps are wrong, and times are computed from the motion."""
         self._lag = 0  # [ns] of the last message
         self._count = 0  # steps in which joints move
         self._squares = np.zeros((1, joints))  # of the errors, summed over them
-        self._scatter, self._passed, self._bends = (
-            np.zeros((1, 3)),
-            np.zeros((1, 2)),
-            np.zeros((1, 2)),
-        )  # sums over them
+        self._scatter = np.zeros((1, 3))  # these, too: what steps tell, times its squared changes, and noise
+        self._passed = np.zeros((1, 2))  # time between stamps, and time that passed
+        self._bends = np.zeros((1, 2))  # by stamps, and by the motion
         self.restart()
 
     def restart(self) -> None:
@@ -136,7 +134,10 @@ class MotionClock:
             stamps: ``(N,)`` [ns], increasing.
             positions, velocities: ``(N, joints)``; NaN for velocities that are not measured.
         """
-        if not self._is_open:
+        if not (self._is_open or self._lag):
+            return stamps
+        if not self._lag and np.isnan(velocities).all():
+            self.restart()
             return stamps
         stamp, position, velocity = self._last or (int(stamps[0]), positions[0], velocities[0])
         self._last = int(stamps[-1]), positions[-1].copy(), velocities[-1].copy()
@@ -146,19 +147,22 @@ class MotionClock:
         is_moving = np.fmin(np.abs(moved), np.abs(expected)) > REST_SPEED * 1e-9 * waited[:, None]
         is_moving &= np.isfinite(expected)
         moves = (np.sum(is_moving, axis=1) > 1) & (waited <= self._longest)
+        if not (moves.any() or self._lag):
+            self._rates[:] = np.nan
+            return stamps
         moved, expected = (np.where(moves[:, None] & np.isfinite(expected), of, 0.0) for of in (moved, expected))
         counts = self._count + np.cumsum(moves)
         squares = np.cumsum(np.concatenate([self._squares, (moved - expected) ** 2]), axis=0)[1:]
         weights = np.divide(counts[:, None], squares, out=np.zeros_like(squares), where=squares > 0.0)
         share, shown = self._share(moved, expected, weights, counts, waited)
-        used = (counts >= self._FEWEST) & self._bears_out(moved, waited, np.where(moves, share, np.nan), weights)
-        excess = waited * shown * (1.0 - share)
+        used = self._bears_out(moved, waited, np.where(moves, share, np.nan), weights)
+        used &= self._is_open & (counts >= self._FEWEST)
         if self._count < FEWEST_IN_BURSTS <= counts[-1]:
             decided = int(np.searchsorted(counts, FEWEST_IN_BURSTS))
             self._is_open = bool(used[decided])
             used[decided:] &= self._is_open
         self.is_used, self._count, self._squares = bool(used[-1]), int(counts[-1]), squares[-1:]
-        return stamps - self._lags(waited, np.where(used, excess, 0.0))
+        return stamps - self._lags(waited, used * waited * shown * (1.0 - share))
 
     def _share(
         self, moved: FloatArray, expected: FloatArray, weights: FloatArray, counts: IntArray, waited: FloatArray

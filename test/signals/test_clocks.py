@@ -212,14 +212,16 @@ def test_samples_move_as_measured_whenever_messages_were_published(source: str) 
     assert found < by_stamps / 3.0
 
 
-def test_times_from_the_motion_do_not_depend_on_blocks() -> None:
-    """They increase, also where messages come at once, stand for a pause, or lack a velocity."""
-    messages = republished(0.034, 1 / 30)
+@pytest.mark.parametrize("until", [150, 1200])
+def test_times_from_the_motion_do_not_depend_on_blocks(until: int) -> None:
+    """They increase, also where messages come at once, stand for a pause, lack a velocity, or are no longer late, so
+    that the stamps are used again."""
+    messages = [*republished(0.034, 1 / 30)[:until], *joint_messages(regular(1 / 30, 40.0)[until:], velocity=True)]
     position, velocity = (np.array([getattr(m, key) for m in messages]) for key in ("position", "velocity"))
     stamps = np.array([message.stamp for message in messages])
-    stamps[300:310] = stamps[300] + np.arange(10)
+    stamps[130:140] = stamps[130] + np.arange(10)
     stamps[600:] += 5_000 * MS
-    velocity[700:720, 1] = np.nan
+    velocity[700:720, 1] = velocity[50:60] = np.nan
     expected = MotionClock(3, 1e9 / 30).times(stamps, position, velocity)
     assert np.all(np.diff(expected) > 0)
     assert np.any(expected != stamps)
