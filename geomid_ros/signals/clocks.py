@@ -102,6 +102,7 @@ class MotionClock:
     """
 
     _FEWEST = 100  # steps that decide
+    _LEAST = 0.05  # RMS of how much steps and time that passed differ, as a fraction: the filter removes less
     _FORGOTTEN = 0.01  # fraction of the lag, in each step
 
     def __init__(self, joints: int, period: float) -> None:
@@ -154,8 +155,8 @@ class MotionClock:
         counts = self._count + np.cumsum(moves)
         squares = np.cumsum(np.concatenate([self._squares, (moved - expected) ** 2]), axis=0)[1:]
         weights = np.divide(counts[:, None], squares, out=np.zeros_like(squares), where=squares > 0.0)
-        share, shown = self._share(moved, expected, weights, counts, waited)
-        used = self._bears_out(moved, waited, np.where(moves, share, np.nan), weights)
+        share, shown, matters = self._share(moved, expected, weights, counts, waited)
+        used = matters & self._bears_out(moved, waited, np.where(moves, share, np.nan), weights)
         used &= self._is_open & (counts >= self._FEWEST)
         if self._count < FEWEST_IN_BURSTS <= counts[-1]:
             decided = int(np.searchsorted(counts, FEWEST_IN_BURSTS))
@@ -166,9 +167,9 @@ class MotionClock:
 
     def _share(
         self, moved: FloatArray, expected: FloatArray, weights: FloatArray, counts: IntArray, waited: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the share of the time between stamps that passed in each step, relative to its mean, and how much of
-        what the step shows is no noise, each ``(N,)``.
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return the share of the time between stamps that passed in each step, relative to its mean; how much of what
+        the step shows is no noise; and True where shares have differed so far as to matter. Each is ``(N,)``.
 
         Args:
             moved, expected: d, and v times the time between stamps, ``(N, joints)``; zero where nothing moves.
@@ -183,7 +184,8 @@ class MotionClock:
         shown = np.divide(signal, signal + all_known * noise, out=np.zeros_like(signal), where=signal > 0.0)
         self._passed, time, passed = _summed(self._passed, shown * waited, shown * waited * share)
         mean = np.divide(passed, time, out=np.ones(len(time)), where=time > 0.0)
-        return np.clip(share / mean, 1.0 / CLEAR_RATIO, CLEAR_RATIO), shown
+        matters = jitter > self._LEAST**2 * all_known
+        return np.clip(share / mean, 1.0 / CLEAR_RATIO, CLEAR_RATIO), shown, np.asarray(matters)
 
     def _bears_out(self, moved: FloatArray, waited: FloatArray, share: FloatArray, weights: FloatArray) -> BoolArray:
         """True where the rates of positions have bent far less by the motion than by stamps so far ``(N,)``."""
