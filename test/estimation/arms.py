@@ -21,7 +21,7 @@ from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import identifiable, joint_of
+from geomid_ros.model.effects import IdentifiedEffect, identifiable, joint_of
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -130,6 +130,11 @@ class Case:
     noiseless: FloatArray
     truth: FloatArray
     true: Truth
+
+    @property
+    def effects(self) -> list[IdentifiedEffect]:
+        """The effects of its model, at every joint."""
+        return [identifiable()[name] for name in self.true.effects]
 
     def fresh(self, seed: int, seconds: float = 20.0) -> Case:
         """The same robot in another motion."""

@@ -27,7 +27,7 @@ def sets_in(share: float) -> Case:
     speed = case.samples.velocity[:, JOINT]
     efforts = case.samples.effort.copy()
     efforts[:, JOINT] += share * level * np.tanh(speed / 0.02) * np.exp(-((speed / SPEED) ** 2))
-    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=Configuration().candidates)
+    model = MeasurementModel(case.model.robot, case.effects, candidates=Configuration().candidates)
     return replace(case.with_efforts(efforts), model=model)
 
 

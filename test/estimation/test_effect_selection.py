@@ -77,7 +77,7 @@ def load(case: Case) -> FloatArray:
 def planted(name: str, joint: int, effect: str, seed: int = 0) -> Case:
     """An arm with this effect beside the usual ones, whose model may have any of the candidates."""
     case = arm(name, seed, noise=NOISE)
-    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=Configuration().candidates)
+    model = MeasurementModel(case.model.robot, case.effects, candidates=Configuration().candidates)
     measured = case.samples.effort + (added(effect, joint, case, case.noiseless) if effect else 0.0)
     return replace(case.with_efforts(measured), model=model)
 
@@ -109,7 +109,7 @@ def test_a_motor_that_turns_parallel_joints_is_told_from_an_inertia_by_the_prior
     case = planted("arm3", 1, "coupled_rotor_inertia")
     assert not [c for c in case.model.coefficients if c.effect.name == "coupled_rotor_inertia"]
     known = identifiable()["coupled_rotor_inertia"]
-    model = MeasurementModel(case.model.robot, [*case.model.places.common, known])
+    model = MeasurementModel(case.model.robot, [*case.effects, known])
     found = solved(replace(case, model=model))
     (taken,) = (effect for effect in chosen(found) if effect.joint == "joint2+joint3")
     assert taken.value == pytest.approx(SIZES["coupled_rotor_inertia"], rel=0.05)

@@ -114,7 +114,7 @@ def test_of_all_that_a_file_holds_the_rows_choose_anew() -> None:
     """Beside an effect that it lacks they asked for no spring; within the file they may."""
     case = arm("arm3", 1, noise=0.05)
     extra = [identifiable()[name] for name in ("stribeck_friction", "spring")]
-    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=extra)
+    model = MeasurementModel(case.model.robot, case.effects, candidates=extra)
     names = ["", *(coefficient.effect.name for coefficient in model.coefficients)]
     first = len(model.nominal_inertias)
     chosen = np.array([k for k in range(model.dimension) if k < first or names[k - first + 1] != "spring"])
@@ -137,7 +137,7 @@ def test_of_all_that_a_file_holds_the_rows_choose_anew() -> None:
 def test_files_that_are_asked_to_hold_the_same_are_fitted_once() -> None:
     """One of them could hold a spring, which the rows do not ask for."""
     case = arm("arm3", 1, noise=0.05)
-    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=[identifiable()["spring"]])
+    model = MeasurementModel(case.model.robot, case.effects, candidates=[identifiable()["spring"]])
     files, fits = {name: ELEMENTS[name] for name in ("urdf", "gazebo", "isaac")}, list[FloatArray]()
     springs = [c.effect.name == "spring" for c in model.coefficients]
     chosen = np.setdiff1d(np.arange(model.dimension), len(model.nominal_inertias) + np.flatnonzero(springs))
@@ -158,7 +158,7 @@ def test_files_that_are_asked_to_hold_the_same_are_fitted_once() -> None:
 def test_a_file_may_choose_what_a_population_tells_and_the_estimate_has_not() -> None:
     """Quadratic friction, which a URDF does not hold: viscous friction is in its place."""
     case = arm("arm3", 1, noise=0.05)
-    standing = [effect for effect in case.model.places.common if effect.name != "viscous_friction"]
+    standing = [effect for effect in case.effects if effect.name != "viscous_friction"]
     tried = [identifiable()[name] for name in ("viscous_friction", "quadratic_friction")]
     model = MeasurementModel(case.model.robot, standing, candidates=tried)
     true = {"quadratic_friction": 1.0, "coulomb_friction": 0.3, "rotor_inertia": 0.02}

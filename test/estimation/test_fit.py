@@ -188,7 +188,7 @@ def test_of_two_minima_the_more_likely_is_taken(monkeypatch: pytest.MonkeyPatch)
     first = case.samples.select(np.arange(len(case.samples)) < len(case.samples) // 8)
     clean = efforts(case.model.robot, Truth(links, case.true.effects), first) + np.sin(7.0 * first.position)
     noise = 0.1 * np.random.default_rng(2).normal(size=clean.shape)
-    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=Configuration().candidates)
+    model = MeasurementModel(case.model.robot, case.effects, candidates=Configuration().candidates)
     planted = replace(case, model=model, samples=replace(first, effort=clean + noise))
     fits: list[tuple[Fit, tuple[Any, ...]]] = []
 

@@ -65,7 +65,7 @@ def test_it_is_found_with_the_level_of_dry_friction() -> None:
     efforts = case.samples.effort.copy()
     efforts[:, JOINT] -= level * np.tanh(case.samples.velocity[:, JOINT] / 0.02)
     efforts[:, JOINT] += level * dahl(case.samples.position[:, JOINT], distance)
-    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=Configuration().candidates)
+    model = MeasurementModel(case.model.robot, case.effects, candidates=Configuration().candidates)
     planted = replace(case.with_efforts(efforts), model=model)
     found = [effect for effect in solved(planted).effects if effect.name == "presliding"]
     assert [(effect.joint, effect.parameters["distance"].value) for effect in found] == [("joint2", distance)]
@@ -99,7 +99,7 @@ def remembered(case: Case, moving: Motion, distance: float) -> Samples:
 def test_a_joint_that_comes_to_rest_keeps_its_friction() -> None:
     """It is told by rest, too: what is left on another motion is little more than the noise."""
     case, distance = arm("arm3", 0), 1e-2
-    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=Configuration().candidates)
+    model = MeasurementModel(case.model.robot, case.effects, candidates=Configuration().candidates)
     seen, unseen = (remembered(case, point_to_point(seed, 3), distance) for seed in (1, 2))
     found = solved(replace(case, model=model, samples=seen))
     kept = {effect.joint: effect for effect in found.effects if effect.name == "presliding"}
