@@ -101,7 +101,6 @@ class MotionClock:
     The first :data:`FEWEST_IN_BURSTS` decide whether to look further.
     """
 
-    _FEWEST = 100  # steps that decide
     _LEAST = 0.05  # RMS of how much steps and time that passed differ, as a fraction: the filter removes less
     _FORGOTTEN = 0.01  # fraction of the lag, in each step
 
@@ -157,7 +156,7 @@ class MotionClock:
         weights = np.divide(counts[:, None], squares, out=np.zeros_like(squares), where=squares > 0.0)
         share, shown, matters = self._share(moved, expected, weights, counts, waited)
         used = matters & self._bears_out(moved, waited, np.where(moves, share, np.nan), weights)
-        used &= self._is_open & (counts >= self._FEWEST)
+        used &= self._is_open & (counts >= FEWEST)
         if self._count < FEWEST_IN_BURSTS <= counts[-1]:
             decided = int(np.searchsorted(counts, FEWEST_IN_BURSTS))
             self._is_open = bool(used[decided])
