@@ -58,7 +58,7 @@ def identification_figure(
     heading = shortened(title, CHANNELS[0] - left, 17.0, "bold")
     add_text(figure, left, 0.42, heading, 17.0, weight="bold")
     for k, line in enumerate(textwrap.wrap(" ".join(doubts), 115, max_lines=2, placeholder=" …")):
-        add_text(figure, left, 0.68 + 0.19 * k, line, color=DOUBT, weight="bold")
+        add_text(figure, left, 0.66 + 0.16 * k, line, size=9.0, color=DOUBT, weight="bold")
     for k, line in enumerate(textwrap.wrap(note, 190, max_lines=3, placeholder=" …")):
         add_text(figure, left, top + height + 0.2 + 0.16 * k, line, color=FAINT, va="top")
     if bodies:
