@@ -99,7 +99,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            f"geomid = {NAME}.commands.root:main",
+            f"geomid = {NAME}.commands:main",
             f"geomid_node = {NAME}.ros.main:main",
             f"geomid_feedforward = {NAME}.ros.feedforward:main",
         ],

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.report import Report
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.decoding import Decoder, Raw
+from geomid_ros.signals.messages import Decoder, Raw
 from geomid_ros.types import FloatArray
 
 _TICKS = (1, 2, 5, 20)  # taken at once, of two messages each

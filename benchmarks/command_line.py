@@ -16,7 +16,7 @@ _GEOMID = ("-m", "geomid_ros")
 _COMPLETION = {"_GEOMID_COMPLETE": "bash_complete", "COMP_WORDS": "geomid ", "COMP_CWORD": "1"}
 _COMPLETE = (
     "-c",
-    "import sys; sys.argv[0] = 'geomid'; from geomid_ros.commands.root import main; main()",
+    "import sys; sys.argv[0] = 'geomid'; from geomid_ros.commands import main; main()",
 )
 
 

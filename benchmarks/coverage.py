@@ -15,9 +15,8 @@ from scipy.stats import norm
 
 from benchmarks.report import Report
 from benchmarks.simulated_arm import FRESH, MOTIONS, Arm, Run, arm, identified, noise, truth
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate
 from geomid_ros.estimation.paper_estimator import PAPER
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.geometry.pseudo_inertia import quantities_of
 from geomid_ros.types import FloatArray
 

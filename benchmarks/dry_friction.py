@@ -30,7 +30,7 @@ from rich.table import Table
 
 import geomid_ros
 from benchmarks.posterior import true_parameters
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.effects.physics import TrueEffect

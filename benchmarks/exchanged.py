@@ -33,8 +33,7 @@ from rich.table import Table
 from benchmarks.measured_data import CASES, DATA, Case
 from geomid_ros.api.options import RecordingOptions
 from geomid_ros.api.robot import configuration, description, topics
-from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.samples import Samples

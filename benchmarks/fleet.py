@@ -27,9 +27,8 @@ from typing import IO, cast
 import numpy as np
 
 from benchmarks.report import Report
-from geomid_ros.estimation.comparison import population_and_members
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.population import RobotLikelihood
+from geomid_ros.estimation.population import RobotLikelihood, population_and_members
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.fleet.fleet import Cluster
@@ -269,7 +268,7 @@ def memory(report: Report, folder: Path) -> None:
         out = folder / f"out{count}"
         shutil.rmtree(out, ignore_errors=True)
         script = (
-            "import atexit, resource, sys; from geomid_ros.commands.root import root; "
+            "import atexit, resource, sys; from geomid_ros.commands import root; "
             "used = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss; "
             "atexit.register(lambda: print(used(), file=sys.stderr)); "
             "root(sys.argv[1:])"

@@ -21,13 +21,13 @@ from benchmarks.problem import Problem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.paper_estimator import PAPER, solve_rows
 from geomid_ros.estimation.solvers import cyclic, trust_region
-from geomid_ros.geometry import pseudo_inertia, symmetric
+from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.types import FloatArray
 
 _TOLERANCE = 1e-8  # of the gradient, relative to the sum of the weights
-_TANGENT_UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
-_UNITS = pseudo_inertia.from_parameters(np.eye(pseudo_inertia.SIZE))
+_TANGENT_UNITS = spd.to_matrix(np.eye(spd.SIZE))
+_UNITS = pseudo_inertia.from_parameters(np.eye(spd.SIZE))
 
 Fit = Callable[[Problem, float], FloatArray]
 

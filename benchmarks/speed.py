@@ -20,7 +20,7 @@ from geomid_ros.estimation.paper_estimator import PAPER, solve_rows
 from geomid_ros.estimation.solvers import cyclic, trust_region
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.geometry import symmetric
+from geomid_ros.geometry import spd
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
@@ -125,7 +125,7 @@ def _line(name: str, ours: float, theirs: float, must: str, aim: str) -> list[st
 def _decomposition(problem: Problem) -> Callable[[], object]:
     """numpy's eigh of the matrices that one step decomposes."""
     normals = problem.manifold.whiten(problem.prior_point, problem.train.coefficients)
-    stack = symmetric.to_matrix(normals.reshape(-1, symmetric.SIZE))
+    stack = spd.to_matrix(normals.reshape(-1, spd.SIZE))
     return lambda: np.linalg.eigh(stack)
 
 

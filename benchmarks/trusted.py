@@ -30,8 +30,7 @@ from benchmarks.measured_data import CASES, DATA
 from geomid_ros.api.identify import Identification
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.errors import GeomidError
-from geomid_ros.estimation.estimate import LinkEstimate
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, quantities_and_moments, sizes
+from geomid_ros.estimation.estimate import QUANTITIES, LinkEstimate, quantities_and_moments, sizes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.simulation import WRIST_FRAME, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description

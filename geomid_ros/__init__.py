@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from geomid_ros.api.verify import Verification, verify
     from geomid_ros.errors import GeomidError, InputError
     from geomid_ros.estimation.paper_estimator import RowsSolution, solve_rows
-    from geomid_ros.exports.weighed_payload import Payload
+    from geomid_ros.exports.payload import Payload
     from geomid_ros.model.effects import Effect, JointEffect, JointMotion, ParameterForm, register
 
 # Matrices are small, so threads of the linear algebra library would only wait for each other and block the cores of a
@@ -94,7 +94,7 @@ _NAMES = {
     "geomid_ros.errors": ("GeomidError", "InputError"),
     "geomid_ros.estimation.paper_estimator": ("RowsSolution", "solve_rows"),
     "geomid_ros.model.effects": ("Effect", "JointEffect", "JointMotion", "ParameterForm", "register"),
-    "geomid_ros.exports.weighed_payload": ("Payload",),
+    "geomid_ros.exports.payload": ("Payload",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 

@@ -1,6 +1,6 @@
 """``python -m geomid_ros`` is ``geomid``."""
 
-from geomid_ros.commands.root import main
+from geomid_ros.commands import main
 
 if __name__ == "__main__":
     main()

@@ -185,7 +185,7 @@ def test_there_are_no_circles() -> None:
 # What has an effect's name but is none: a command, and parameters of the node and of the signals.
 NAMESAKES = {
     ("geomid_ros.api.robot", "effort_gain"),
-    ("geomid_ros.commands.root", "payload"),
+    ("geomid_ros.commands", "payload"),
     ("geomid_ros.excitation.belief", "payload"),
     ("geomid_ros.exports.descriptions", "viscous_friction"),
     ("geomid_ros.checks.causes", "effort_gain"),

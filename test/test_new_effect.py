@@ -38,7 +38,7 @@ import json, sys
 import pytest
 from click.testing import CliRunner
 from commands.running import undrawn
-from geomid_ros.commands.root import root
+from geomid_ros.commands import root
 for line in sys.stdin:
     arguments, drawn = json.loads(line)
     with pytest.MonkeyPatch.context() as patch:

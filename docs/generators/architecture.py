@@ -37,10 +37,10 @@ class Station:
 STATIONS = (
     Station("ros.inputs", ("receives and counts", "messages"), 0, 0, "node", ("live.inbox",)),
     Station("live.inbox", ("a queue: no message", "waits for a solve"), 1, 0, "node", ("live.worker",)),
-    Station("live.worker", ("a thread that turns", "messages into rows"), 2, 0, "node", ("signals.decoding",)),
+    Station("live.worker", ("a thread that turns", "messages into rows"), 2, 0, "node", ("signals.messages",)),
     Station("files.bags.bag", ("reads mcap and db3,", "also truncated files"), 0, 1, "bag", ("session.recordings",)),
-    Station("session.recordings", ("splits bags: training", "and held-out parts"), 1, 1, "bag", ("signals.decoding",)),
-    Station("signals.decoding", ("bytes to blocks of", "numbers"), 2, 1, goes_to=("signals.pipeline",)),
+    Station("session.recordings", ("splits bags: training", "and held-out parts"), 1, 1, "bag", ("signals.messages",)),
+    Station("signals.messages", ("bytes to blocks of", "numbers"), 2, 1, goes_to=("signals.pipeline",)),
     Station(
         "signals.pipeline", ("admits messages, counts", "the refused by reason"), 2, 2, goes_to=("signals.sampler",)
     ),

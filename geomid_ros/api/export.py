@@ -11,11 +11,10 @@ from typing import NamedTuple
 from geomid_ros.api.options import ExportOptions, SampleOptions
 from geomid_ros.api.robot import entries
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.exports.descriptions import DESCRIPTIONS, described
-from geomid_ros.exports.formats import CONTROLLERS, JSON
+from geomid_ros.exports.descriptions import DESCRIPTIONS, described, patch_user_mjcf
+from geomid_ros.exports.formats import CONTROLLERS, JSON, Export
 from geomid_ros.exports.model import ExportModel, read_model
-from geomid_ros.exports.patch_mjcf import patch_user_mjcf
-from geomid_ros.exports.payload import Export, attached, difference, each_link, sum_of_links
+from geomid_ros.exports.payload import attached, difference, each_link, sum_of_links
 from geomid_ros.exports.posterior_samples import (
     DrawnRobots,
     TorqueSpread,

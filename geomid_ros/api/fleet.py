@@ -11,8 +11,7 @@ from geomid_ros.api.options import FleetOptions
 from geomid_ros.api.robot import check_command_efforts, configuration, description, topics
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.comparison import population_and_members
-from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood
+from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood, population_and_members
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.population import write_population
 from geomid_ros.fleet.fleet import Cluster, Fleet, FleetRobot

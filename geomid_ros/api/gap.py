@@ -11,6 +11,7 @@ from typing import Any
 
 from geomid_ros.api.identify import DELAY, identify
 from geomid_ros.api.options import GapOptions, RecordingOptions
+from geomid_ros.api.rebuild import tables, write_tables
 from geomid_ros.api.robot import bag_paths, configuration, description, recordings
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, recording_verdict
 from geomid_ros.errors import InputError
@@ -21,7 +22,6 @@ from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.files.schema import to_document
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples

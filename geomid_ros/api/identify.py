@@ -14,20 +14,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomid_ros.api.options import IdentifyOptions
+from geomid_ros.api.rebuild import tables, write_tables
 from geomid_ros.api.robot import configuration, description, recordings
 from geomid_ros.checks.candidates import ROUNDS
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import GeomidError
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import STDS_OF_95, EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.suggested_motions import suggested_motions
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.exports.handover import DescriptionTest, FileTest
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effects_file import unrepresentable, write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF, with_same_files
-from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.effects import effect_class

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from geomid_ros.api.options import PayloadOptions
 from geomid_ros.api.robot import bag_paths, check_command_efforts, configuration, description, topics
-from geomid_ros.exports.weighed_payload import Payload, identify_payload_at
+from geomid_ros.exports.payload import Payload, identify_payload_at
 from geomid_ros.files.models.posterior import posterior_path, read_posterior
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import takes

@@ -13,7 +13,7 @@ from geomid_ros.files.bags.bag import bags_in
 from geomid_ros.files.models.urdf import SUFFIX, read_urdf, urdf_of_xacro
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.imu import Imu
+from geomid_ros.model.moving_base import Imu
 from geomid_ros.options import Options
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import Config, DescriptionOptions, Gains, PathLike, Paths, Texts, paths, texts

@@ -12,7 +12,7 @@ import numpy as np
 
 from geomid_ros.checks.evidence import PRIOR_STD, Evidence, Unknowns, evidence
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -146,7 +146,7 @@ class BaselineFit:
         self._target = self._weights * (self.measured - self._predicted)
         sums = self._known.with_target(self._target, np.ones(self._target.shape[1]))
         products = sums.weighed(np.ones(len(sums)))
-        self._whitener = definite.whitener(products[:-1, :-1] + np.eye(len(products) - 1))
+        self._whitener = spd.whitener(products[:-1, :-1] + np.eye(len(products) - 1))
         self._explained = self._whitener @ products[:-1, -1]
 
 

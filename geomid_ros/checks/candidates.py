@@ -17,7 +17,7 @@ from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
 from geomid_ros.checks.sample_reservoir import FEWEST
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.inference.probability import posterior_probabilities
 from geomid_ros.types import FloatArray, IntArray
 

@@ -19,7 +19,7 @@ from geomid_ros.checks.causes import BIT_BY_BIT, Cause
 from geomid_ros.checks.effort_data import STRETCHES, EffortData
 from geomid_ros.checks.evidence import MOST, PRIOR_STD, payload_factor
 from geomid_ros.checks.sample_reservoir import FEWEST, elapsed
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.types import BoolArray, FloatArray
 
 _PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # fractions of the recording at which a change may begin

@@ -13,8 +13,7 @@ from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.sample_reservoir import FEWEST
-from geomid_ros.estimation.estimate import EffectEstimate, is_significant
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.estimation.estimate import STDS_OF_95, EffectEstimate, is_significant
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.controller import PDController
 from geomid_ros.model.effects import effect_class

@@ -15,7 +15,7 @@ import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.tolerances import ROUNDS
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold
 from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.robot import Robot
@@ -58,7 +58,7 @@ class Evidence:
 
     def deviations(self) -> FloatArray:
         """Standard deviations ``(r,)`` of the links' errors."""
-        return np.sqrt(definite.variances(self.precision, len(self.link_errors)))
+        return np.sqrt(spd.variances(self.precision, len(self.link_errors)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,7 @@ def evidence(
             break
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
     noise = float(counts @ np.log(2.0 * np.pi * sigmas**2))
-    log_determinant = definite.log_determinant(posterior) - float(np.sum(np.log(precision[~fixed])))
+    log_determinant = spd.log_determinant(posterior) - float(np.sum(np.log(precision[~fixed])))
     return Evidence(
         log_evidence=-0.5 * (weighted + noise + log_determinant),
         sigmas=sigmas,
@@ -201,7 +201,7 @@ def _solve_bounded(
         previous, free = fixed, matrix.copy()
         free[fixed] = free[:, fixed] = 0.0
         free[fixed, fixed] = 1.0
-        mean = definite.solve_or_least_squares(free, np.where(fixed, 0.0, right))
+        mean = spd.solve_or_least_squares(free, np.where(fixed, 0.0, right))
         gradient = right - matrix @ mean  # of a fixed one: positive if it would become positive
         changed = np.where(fixed, gradient <= 0.0, mean < 0.0) & bounded
         if np.array_equal(changed, fixed):

@@ -13,14 +13,14 @@ import numpy as np
 
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.evidence import MOST
-from geomid_ros.checks.rotations import best_rotation, rotation_angle
 from geomid_ros.checks.sample_reservoir import FEWEST, STEP
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, Estimate
-from geomid_ros.model.contacts import DIRECTIONS, Contact, Legs
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.moving_base import DIRECTIONS, Contact, Legs
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
+from geomid_ros.model.se3 import best_rotation, rotation_angle
 from geomid_ros.signals.moving_base import LIFTED
 from geomid_ros.types import BoolArray, FloatArray
 

@@ -10,9 +10,8 @@ import numpy as np
 from geomid_ros.checks.candidates import MASS_FACTOR
 from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.unexplained import WORSE
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.inference.design import BLOCKS
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples

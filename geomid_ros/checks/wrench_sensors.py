@@ -16,11 +16,11 @@ import numpy as np
 from geomid_ros.checks.candidates import MASS_FACTOR, PROBABLE, TILT, probabilities
 from geomid_ros.checks.causes import Cause, RecordingFault, format_settings
 from geomid_ros.checks.evidence import FRICTION, LARGEST_RESIDUAL, LEAST_CORRELATION, Unknowns, evidence, prior_factor
-from geomid_ros.checks.rotations import best_rotation, rotation_angle
 from geomid_ros.checks.sample_reservoir import FEWEST, STEP
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
+from geomid_ros.model.se3 import best_rotation, rotation_angle
 from geomid_ros.types import FloatArray
 
 _OTHER_UNIT = 50.0  # no tool's mass is wrong by such a factor

@@ -1,1 +1,101 @@
-"""Command line, one file per command."""
+"""Command line: the group ``geomid`` and behaviour common to all commands, which are in the files of this folder."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+import geomid_ros
+from geomid_ros.errors import (
+    TOO_LITTLE_MEMORY,
+    GeomidError,
+    check_memory,
+    is_lack_of_memory,
+    load_hashes,
+    missing_library,
+)
+
+COMMANDS = {
+    "compare": "Compare two results of one robot.",
+    "dashboard": "Show a running node on a local page.",
+    "demo": "Watch a live identification of a simulated arm.",
+    "excite": "Design an exciting trajectory.",
+    "export": "Print an estimate in the format of other software.",
+    "feedforward": "Fill the efforts of a trajectory.",
+    "fleet": "Identify many robots of a type from many bags.",
+    "gap": "Diagnose the gap between simulation and robot.",
+    "identify": "Identify link inertias from rosbags.",
+    "payload": "Identify a payload.",
+    "play": "Play a rosbag on live topics.",
+    "prior": "Compute prior inertials of a URDF from its shapes.",
+    "report": "Write the report of a result again.",
+    "sample": "Sample robots from the posterior.",
+    "simulate": "Record a rosbag of a simulated robot.",
+    "verify": "Check that a model predicts a recording.",
+}
+"""First sentence of each command's help, by its name."""
+_HOMES = {  # module of a command, if its name differs
+    **dict.fromkeys(("compare", "export", "feedforward", "payload", "report", "sample", "verify"), "results"),
+    **dict.fromkeys(("dashboard", "demo", "play"), "live"),
+    **dict.fromkeys(("fleet", "gap", "identify"), "recordings"),
+}
+
+
+class _Failure(click.ClickException):
+    """Error of this package shown to the user: one message, exit status 2."""
+
+    exit_code = 2
+
+
+class _Group(click.Group):
+    """Group that loads a command on first use, because its imports are slow."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        if cmd_name not in COMMANDS:
+            return None
+        load_hashes()
+        command: click.Command = getattr(
+            import_module(f"geomid_ros.commands.{_HOMES.get(cmd_name, cmd_name)}"), cmd_name
+        )
+        return command
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        names = [CompletionItem(name, help=text) for name, text in COMMANDS.items() if name.startswith(incomplete)]
+        return names + click.Command.shell_complete(self, ctx, incomplete)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            check_memory()
+            return super().invoke(ctx)
+        except GeomidError as error:
+            raise _Failure(str(error)) from error
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(geomid_ros.__version__, prog_name="geomid")
+def root() -> None:
+    """Identify a robot's link inertias, from rosbags or while it runs."""
+
+
+def main() -> None:
+    """Entry point of ``geomid``."""
+    try:
+        root()
+    except Exception as error:  # libraries raise various errors when memory runs out
+        missing = missing_library(error) if isinstance(error, ImportError | OSError) else ""
+        sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing
+        if not sentence:
+            raise
+        click.echo(f"Error: {sentence}", err=True)
+        sys.exit(2)

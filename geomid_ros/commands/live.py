@@ -48,7 +48,7 @@ def demo(out: Path, rate: float) -> None:
     from geomid_ros.session.session import Session
 
     with needing_ros("the demonstration"):
-        from geomid_ros.ros.live_run import LiveRun
+        from geomid_ros.ros.player import LiveRun
     bag, urdf = shared_file("bags/arm7"), shared_file("bags/arm7.urdf")
     options = RobotOptions(wrench="/wrench:wrist_ft:mounted", config={"solve_period": max(0.1, 0.3 / rate)})
     configuration = configured(options)

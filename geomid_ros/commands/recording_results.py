@@ -22,8 +22,7 @@ from geomid_ros.commands.terminal import (
     results_console,
     say,
 )
-from geomid_ros.estimation.estimate import EffectEstimate, LinkEstimate, WeighedEstimate
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, LinkEstimate, WeighedEstimate
 from geomid_ros.exports.handover import FileTest
 from geomid_ros.files.models.effects_file import is_coefficient
 from geomid_ros.files.models.estimate_file import EstimateFile

@@ -282,7 +282,7 @@ def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **
 
 def _show_payload(result: geomid_ros.Payload, controller: str | None) -> None:
     """Print the payload, preceded by reasons against using it, and the commands that set it."""
-    from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UNITS
+    from geomid_ros.estimation.estimate import QUANTITIES, UNITS
 
     console = results_console()
     print_verdict(console, result.weighed.verdict, result.weighed.warnings, result.weighed.notes)

@@ -22,7 +22,7 @@ import numpy as np
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.tolerances import LARGEST_STEP
-from geomid_ros.geometry import definite, spd, symmetric
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ONE_BODY, Point
 from geomid_ros.geometry.pseudo_inertia import to_parameters
 from geomid_ros.model.samples import REST_SPEED
@@ -45,7 +45,7 @@ def shortest_change(point: Point, rows: FloatArray, residuals: FloatArray) -> Fl
     """Shortest tangent vector ``(10,)`` that explains ``residuals (joints,)`` by ``rows (joints, 10)``, both in units
     of the residuals' noise."""
     whitened = ONE_BODY.whiten(point, rows)
-    weights = definite.solve_or_least_squares(whitened @ whitened.T + np.eye(len(rows)), residuals)
+    weights = spd.solve_or_least_squares(whitened @ whitened.T + np.eye(len(rows)), residuals)
     return np.asarray(weights @ whitened)
 
 
@@ -93,7 +93,7 @@ class Adaptation:
         as far as it may lie. It must not remove more than this body, as a contact that pulls sideways or upwards does.
         """
         loaded = ONE_BODY.point(self.point.parameters + self._mean_load)
-        change = symmetric.to_matrix(shortest_change(loaded, rows, residuals))
+        change = spd.to_matrix(shortest_change(loaded, rows, residuals))
         return bool(np.linalg.eigvalsh(change)[0] > -1.0)
 
 

@@ -19,7 +19,7 @@ from geomid_ros.estimation.profile_objective import (
     fit_scales,
 )
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.coefficients import Coefficient, Mechanism
 from geomid_ros.model.effects import Effect, Place
@@ -185,7 +185,7 @@ class CoefficientRows:
             return ProfileObjective(profile, weights, products)
 
         def likely(point: Point, hessian: FloatArray, _: FloatArray) -> FloatArray:
-            variances = definite.variances(hessian, links.stop)
+            variances = spd.variances(hessian, links.stop)
             return reestimated_prior_stds(manifold.log(prior, point)[links], variances, default)
 
         result = fit_scales(objective, point, prior_stds if given is None else given, likely if given is None else None)
@@ -232,7 +232,7 @@ class CoefficientFit:
     def score(self) -> float:
         """Minus twice the log marginal likelihood."""
         links = self.fit.objective.manifold.inertial
-        volume = definite.log_determinant(self.fit.hessian[links, links])
+        volume = spd.log_determinant(self.fit.hessian[links, links])
         prior_stds = self.fit.scales
         width = 20.0 * float(np.sum(np.log(prior_stds))) + prior_std_cost(prior_stds, self.rows.problem.default_stds)
         return 2.0 * self.fit.evaluation.value + volume + width
@@ -295,7 +295,7 @@ class CoefficientFit:
 
     def squares_of(self, columns: IntArray) -> FloatArray:
         """Squares of some of its coefficients in units of their variances."""
-        inverse, manifold = definite.inverse(self.fit.hessian), self.fit.objective.manifold
+        inverse, manifold = spd.inverse(self.fit.hessian), self.fit.objective.manifold
         slopes = manifold.whiten(self.fit.point, self._slopes)
         real = self.columns >= self.rows.first_column
         variances = np.diag(inverse)[real]
@@ -314,7 +314,7 @@ class CoefficientFit:
         allowed = np.flatnonzero((values >= 0.0) | ~self.rows.positive[columns])
         if len(allowed):
             shared = self.fit.objective.manifold.whiten(self.fit.point, products[allowed[:, None], self.columns])
-            squares, explained = products[allowed, columns[allowed]], definite.solve_or_least_squares(hessian, shared.T)
+            squares, explained = products[allowed, columns[allowed]], spd.solve_or_least_squares(hessian, shared.T)
             unexplained = squares - np.sum(shared.T * explained, axis=0)
             independent = unexplained > ROUNDING * squares
             gains[allowed] = np.where(independent, values[allowed] ** 2 / np.where(independent, unexplained, 1.0), 0.0)

@@ -1,39 +1,33 @@
-"""Compare two results of one robot, and find robots of a fleet that are unlike the others of their type.
+"""Compare two results of one robot: every number, and which links have changed.
 
 Intervals are joint: if the robot is the same, all differences together stay within them with a probability of 95 %.
 Each of n comparisons gets a fraction 0.05 / n of the error probability (Bonferroni), however they depend on each other.
-A comparison is of one number, or of one link as a whole (:mod:`geomid_ros.estimation.changed_links`).
+A comparison is of one number, or of one link as a whole (:func:`changed_links`).
 
 The errors of both results count as independent. An error from a common prior therefore counts twice.
 
-Following the minimum covariance determinant (Rousseeuw 1984), the population of a fleet is that of the most alike half.
-Then, round by round, it includes all robots that are no farther from it than members are. So the others do not move it,
-as long as they are less than half.
+Single inertial parameters are mostly known in combinations only: a mass that changed by a fifth may lie within the
+interval of each number. Here the links are the same robot's in both results, except for those that changed. Both
+log-likelihoods are functions of the link parameters. The change of one link is tested by how much better it explains
+the difference, -2 log p. If nothing has changed, this is chi-square distributed with at most ten degrees of freedom.
+Links are added one by one, the best first (stepwise), until no other explains more than chance. The effects are
+eliminated: friction may differ from day to day.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
-from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.estimation.population import (
-    FEWEST,
-    SHARED,
-    Population,
-    PopulationFit,
-    RobotLikelihood,
-    common_likelihoods,
-    linear,
-)
-from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UNITS, UncertainInertia
+from geomid_ros.estimation.estimate import QUANTITIES, STDS_OF_95, UNITS, LinksInformation, UncertainInertia
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.geometry.pseudo_inertia import SIZE
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import FloatArray
 
 CHANCE = 0.05
 """Probability that any number is reported to differ if none does."""
@@ -187,107 +181,143 @@ def _deviation(difference: Difference) -> float:
     return math.hypot(*filter(math.isfinite, stds))
 
 
-_CHANCE_OF_ROBOT = 1e-2  # largest probability, over all blocks, that a member is reported as unlike
-_IDENTIFIED = 0.1  # least fraction of the variance between robots that the data resolve in a direction that counts
+_UNITS = ("kg", "kg m", "kg m", "kg m")  # of mass and first moment, the first parameters
 
 
-@dataclass(frozen=True, kw_only=True)
-class Membership:
-    """Distance of a robot from the others of its type.
+@dataclass(frozen=True)
+class ChangedLink:
+    """A link whose change explains the difference of two results.
 
     Attributes:
-        member: True if it is one of them.
-        distance: Mahalanobis distance per direction that its data identify, about 1 for a member.
-        unlike: names of links and effects in which it is unlike them, the farthest first.
+        link: name of the link.
+        gain: decrease of -2 log p by its change.
+        mass: increase of its mass in the second result [kg].
+        moment: increase of its first moment about the link's origin, by axis [kg m].
+        rivals: links whose change explains it nearly as well.
     """
 
-    member: bool
-    distance: float
-    unlike: tuple[str, ...]
+    link: str
+    gain: float
+    mass: Quantity
+    moment: Mapping[str, Quantity] = field(default_factory=dict)
+    rivals: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """Sentence with 95 % intervals: the mass, or if its change is not significant, the first moment."""
+        others = f", or {' or '.join(self.rivals)} changed instead" if self.rivals else ""
+        mass = f"by {_with_interval(self.mass)} kg"
+        if _is_significant(self.mass):
+            return f"mass of {self.link} changed {mass}{others}"
+        moments = [
+            f"first moment {axis} by {_with_interval(change)} kg m"
+            for axis, change in self.moment.items()
+            if _is_significant(change)
+        ]
+        return f"{self.link} changed: {', '.join([*moments, f'mass {mass}'])}{others}"
 
 
-def population_and_members(robots: Sequence[RobotLikelihood]) -> tuple[Population, list[Membership]]:
-    """Fit the population of most of these robots, and find its members; of few robots all are members.
+def _with_interval(change: Quantity) -> str:
+    """Format a change with its sign and 95 % interval, without the unit."""
+    return f"{change.value:+.3g} ± {STDS_OF_95 * change.std:.2g}"
 
-    Raises:
-        InputError: there are too few, or they have different links.
+
+def _is_significant(change: Quantity) -> bool:
+    """True if a change differs from zero by its 95 % interval."""
+    return abs(change.value) > STDS_OF_95 * change.std
+
+
+@dataclass(frozen=True, eq=False)
+class LinkEvidence:
+    """Likelihood of a result's links.
+
+    Attributes:
+        parameters: ``(links, 10)`` in pinocchio's order, about the links' origins.
+        information: the log-likelihood about these.
     """
-    shared = common_likelihoods(robots)
-    if len(shared) < 2 * FEWEST - 1:  # the half of them is no population
-        population = PopulationFit(shared).population
-        return population, [Membership(member=True, distance=1.0, unlike=())] * len(shared)
-    chosen = _most_alike(shared)
-    seen = set()
-    while True:
-        fit = PopulationFit([shared[index] for index in chosen])
-        others = {index: fit.without(place) for place, index in enumerate(chosen)}
-        memberships = [_membership(others.get(index, fit.population), robot) for index, robot in enumerate(shared)]
-        inside = tuple(index for index, membership in enumerate(memberships) if membership.member)
-        if inside in seen or len(inside) < FEWEST:
-            return fit.population, memberships
-        seen.add(inside)
-        chosen = inside
+
+    parameters: FloatArray
+    information: LinksInformation
 
 
-def _most_alike(robots: Sequence[RobotLikelihood]) -> tuple[int, ...]:
-    """Indices of the half of the robots whose estimates are nearest to the medians."""
-    first = robots[0]
-    manifold = replace(first.manifold, scales=np.ones(len(first.scales)))
-    base = manifold.point(first.prior)
-    coordinates = np.array([manifold.log(base, manifold.point(robot.parameters)) for robot in robots])
-    off = coordinates - np.median(coordinates, axis=0)
-    deviations = np.median(np.abs(off), axis=0) + LEAST_DEVIATION
-    nearest = np.argsort(np.mean((off / deviations) ** 2, axis=1), kind="stable")
-    return tuple(sorted(nearest[: max(FEWEST, len(robots) // 2 + 1)].tolist()))
+def changed_links(
+    names: Sequence[str], first: LinkEvidence, second: LinkEvidence, limit: float, alike: float
+) -> tuple[ChangedLink, ...]:
+    """Find the links that have changed, in the order of detection.
 
-
-def _membership(population: Population, robot: RobotLikelihood) -> Membership:
-    """Membership of a robot in a population."""
-    tangent, variance = _seen(population, robot)
-    total_square, _ = _distance(population, tangent, variance, np.arange(len(tangent)))
-    ratios = {}
-    for name, block in population.blocks.items():
-        square, directions = _distance(population, tangent, variance, block)
-        ratios[name] = square / _limit(population, directions) if directions else 0.0
-    unlike = sorted((name for name, ratio in ratios.items() if ratio > 1.0), key=lambda name: -ratios[name])
-    return Membership(member=not unlike, distance=float(np.sqrt(total_square)), unlike=tuple(unlike))
-
-
-def _seen(population: Population, robot: RobotLikelihood) -> tuple[FloatArray, FloatArray]:
-    """Tangent coordinates ``(D,)`` of a robot at the mean, from its data and the population; and the covariance
-    ``(D, D)`` that such coordinates have among robots of the population."""
-    manifold, mean = population.manifold, population.point
-    precision = np.linalg.inv(population.covariance)
-    point = manifold.point(robot.parameters)
-    tangent = manifold.log(mean, point)
-    for _ in range(ROUNDS):
-        before = tangent
-        information, pull = linear(manifold, mean, robot, point)
-        posterior = np.linalg.inv(precision + information)
-        tangent = posterior @ pull
-        if np.max(np.abs(tangent - before)) < SETTLED:
+    Args:
+        names: names of the links.
+        first, second: both results, links in the order of the names.
+        limit: gain above which a change is significant.
+        alike: a link is a rival if its change explains the difference worse by less than this.
+    """
+    problem = _LinkChanges(first, second)
+    changed: list[int] = []
+    gains: list[tuple[float, list[str]]] = []
+    while len(changed) < len(names):
+        remaining = [link for link in range(len(names)) if link not in changed]
+        errors = {link: problem.solved([*changed, link])[0] for link in remaining}
+        best = min(remaining, key=errors.__getitem__)
+        gain = problem.solved(changed)[0] - errors[best]
+        if gain <= limit:
             break
-        point = manifold.exp(mean, tangent * min(1.0, LARGEST_STEP / np.max(np.abs(tangent))))
-    return tangent, population.covariance - posterior
+        rivals = [names[link] for link in remaining if link != best and errors[link] - errors[best] < alike]
+        changed.append(best)
+        gains.append((gain, rivals))
+    return tuple(
+        ChangedLink(names[link], gain, mass, dict(zip("xyz", moment, strict=True)), tuple(rivals))
+        for link, (gain, rivals), (mass, *moment) in zip(changed, gains, problem.sizes(changed), strict=True)
+    )
 
 
-def _distance(population: Population, tangent: FloatArray, variance: FloatArray, block: IntArray) -> tuple[float, int]:
-    """Mean square of the block's coordinates in standard deviations, over the directions that the data identify, and
-    the number of these directions."""
-    submatrix = np.ix_(block, block)
-    whitener = np.linalg.inv(np.linalg.cholesky(population.covariance[submatrix]))
-    values, vectors = np.linalg.eigh(whitener @ variance[submatrix] @ whitener.T)
-    identified = values > _IDENTIFIED
-    if not np.any(identified):
-        return 0.0, 0
-    along = (vectors.T @ whitener @ tangent[block])[identified]
-    return float(np.mean(along**2 / values[identified])), int(np.count_nonzero(identified))
+@dataclass(frozen=True, eq=False)
+class _LinkChanges:
+    """Least squares in tangent coordinates at the first result, for its links and the changes of some of them. The
+    prior std of a coordinate is 1: a change of the size of the body itself."""
 
+    first: LinkEvidence
+    second: LinkEvidence
 
-def _limit(population: Population, directions: int) -> float:
-    """Mean square that a robot of the population seldom exceeds in any block: Hotelling's, because the covariance is
-    estimated."""
-    from scipy.stats import f  # noqa: PLC0415 slow to load, and seldom needed
+    @cached_property
+    def _jacobian(self) -> FloatArray:
+        """Derivative ``(links, 10, 10)`` of each link's parameters by its coordinates."""
+        manifold = ParameterManifold(len(self.first.parameters), 0, np.zeros(0))
+        return manifold.point(self.first.parameters.ravel()).links_jacobian
 
-    freedom = max(population.robots + SHARED - directions, 4.0)
-    return float(f.isf(_CHANCE_OF_ROBOT / len(population.blocks), directions, freedom))
+    @cached_property
+    def _whitened(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Per result, rows ``(10 links, 10 links)`` of the coordinates, and residuals at the first result."""
+        both = []
+        for evidence in (self.first, self.second):
+            rows, offset = evidence.information.rows, (self.first.parameters - evidence.parameters).ravel()
+            blocks = np.einsum("nli,lij->nlj", rows.reshape(len(rows), -1, SIZE), self._jacobian)
+            both.append((blocks.reshape(rows.shape), evidence.information.residuals + rows @ offset))
+        return both
+
+    def solved(self, changed: Sequence[int]) -> tuple[float, FloatArray, FloatArray]:
+        """Least squared error if these links have changed, their changes ``(10 changed,)`` in coordinates, and the
+        covariance of the changes."""
+        (before, residual), (after, other) = self._whitened
+        columns = [SIZE * link + index for link in changed for index in range(SIZE)]
+        size = before.shape[1]
+        unchanged = np.column_stack([before, np.zeros((len(before), len(columns)))])
+        prior = np.eye(size + len(columns))
+        rows = np.concatenate([unchanged, np.column_stack([after, after[:, columns]]), prior])
+        targets = np.concatenate([-residual, -other, np.zeros(len(prior))])
+        orthogonal, triangle = np.linalg.qr(rows)
+        projected = orthogonal.T @ targets
+        inverse = np.linalg.inv(triangle)
+        covariance = inverse @ inverse.T
+        solution = inverse @ projected
+        return float(np.sum((targets - rows @ solution) ** 2)), solution[size:], covariance[size:, size:]
+
+    def sizes(self, changed: Sequence[int]) -> list[list[Quantity]]:
+        """Increases of mass and first moment of each changed link."""
+        _, changes, covariance = self.solved(changed)
+        increases = []
+        for place, link in enumerate(changed):
+            block, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
+            std = np.sqrt(np.diag(rows @ covariance[block, block] @ rows.T))
+            values = (rows @ changes[block]).tolist()
+            increases.append([Quantity(*entry) for entry in zip(values, std.tolist(), _UNITS, strict=True)])
+        return increases

@@ -10,10 +10,9 @@ from itertools import compress
 import numpy as np
 
 from geomid_ros.estimation import uncertainty
-from geomid_ros.estimation.estimate import EffectEstimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, LinkEstimate, WeighedEstimate, identified
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.measurement_model import MeasurementModel

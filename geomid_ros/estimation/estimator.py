@@ -12,9 +12,8 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
-from geomid_ros.estimation.effect_selection import Choice, choose
-from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.file_fits import fit_files
+from geomid_ros.estimation.effect_selection import Choice, choose, fit_files
+from geomid_ros.estimation.estimate import WITHIN, Estimate
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
@@ -25,7 +24,6 @@ from geomid_ros.estimation.problem import Problem, required_columns, subproblem
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.estimation.uncertain_inertia import WITHIN
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.coefficients import Coefficient

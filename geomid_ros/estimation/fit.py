@@ -20,9 +20,9 @@ from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDS, SETTLED
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.geometry.symmetric import SIZE
+from geomid_ros.geometry.spd import SIZE
 from geomid_ros.types import FloatArray
 
 CERTAINTY = 20.0
@@ -129,7 +129,7 @@ class Fit:
         """Minus twice the log marginal likelihood in Laplace's approximation, up to a constant of the problem. There
         are several minima: a link that absorbs an effect leaves its prior."""
         problem = self.problem
-        volume = definite.log_determinant(self.information)
+        volume = spd.log_determinant(self.information)
         likelihood = (
             2.0 * problem.independent_fraction * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
         )
@@ -256,7 +256,7 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     manifold = problem.manifold
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
-    variances = definite.variances(problem.independent_fraction * information, links.stop)
+    variances = spd.variances(problem.independent_fraction * information, links.stop)
     return reestimated_prior_stds(
         manifold.log(problem.prior_point, solution.point)[links], variances, problem.default_stds
     )

@@ -28,9 +28,9 @@ from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.geometry.symmetric import SIZE
+from geomid_ros.geometry.spd import SIZE
 from geomid_ros.model.alike_parts import ALIKE_PRIOR_STD, AlikeParts
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
@@ -154,7 +154,7 @@ class CoupledPrior(ABC):
         blocks, diagonal = manifold.exp_jacobian(self.mean, tangent)
         links = manifold.point(fit.search_point.parameters[self.columns]).links_jacobian
         rest = parent.jacobian(fit.search_point)[1][self.columns[manifold.inertial.stop :] - parent.inertial.stop]
-        root = definite.roots(fit.information, int(np.max(self.columns, initial=-1)) + 1)[self.columns]
+        root = spd.roots(fit.information, int(np.max(self.columns, initial=-1)) + 1)[self.columns]
         moved = np.swapaxes(np.linalg.solve(blocks, links), -1, -2)
         return manifold.by_blocks(root.T, moved, rest / diagonal).T
 

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from geomid_ros.geometry import compiled, projection, pseudo_inertia, symmetric
+from geomid_ros.geometry import compiled, projection, pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -287,12 +287,12 @@ def _prior_terms(
     Weights ``(D,)`` are equal within a block, so that the Hessian stays symmetric.
     """
     to_prior, bends = manifold.log_and_hessian(point, prior)
-    bends = weights[manifold.inertial].reshape(-1, symmetric.SIZE, 1) * bends
+    bends = weights[manifold.inertial].reshape(-1, spd.SIZE, 1) * bends
     return 0.5 * float(weights @ to_prior**2), -weights * to_prior, bends
 
 
-_UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
-_PRODUCTS = 0.5 * np.einsum("kim,lmj->klij", _UNITS, _UNITS).reshape(symmetric.SIZE, symmetric.SIZE, -1)
+_UNITS = spd.to_matrix(np.eye(spd.SIZE))
+_PRODUCTS = 0.5 * np.einsum("kim,lmj->klij", _UNITS, _UNITS).reshape(spd.SIZE, spd.SIZE, -1)
 _PRODUCTS = (_PRODUCTS + _PRODUCTS.transpose(1, 0, 2)).reshape(-1, _PRODUCTS.shape[-1])
 
 
@@ -351,7 +351,7 @@ def _with_prior(
     information = manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
     information += manifold.whiten_offset_rows(prior, point, manifold.whiten_offset_rows(prior, point, known[1]).T)
     slopes = manifold.whiten(point, slope[None])[0] + manifold.whiten_offset_rows(prior, point, known[0][None])[0]
-    matrices = symmetric.to_matrix(-gradient[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
+    matrices = spd.to_matrix(-gradient[manifold.inertial].reshape(manifold.links, spd.SIZE))
     line_bends = (matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T).reshape(bends.shape)
     rest = weights[manifold.inertial.stop :].copy()
     rest[: manifold.positives] -= gradient[manifold.positive]

@@ -1,4 +1,4 @@
-"""Population of the robots of one type: random effects on the manifold.
+"""Population of the robots of one type, random effects on the manifold; and robots unlike the others.
 
 A robot's parameters are ``exp(m, t)``. The Karcher mean m belongs to the type; the tangent coordinates t are normal
 with the covariance S between robots. A robot's rows inform on t; its separate prior does not enter. The URDF is the
@@ -6,6 +6,10 @@ prior of the mean, so that directions which no data identify stay as uncertain a
 (Dempster, Laird and Rubin 1977; Laird and Ware 1982): the expectation solves for the mean and every robot jointly, with
 the rows linearised at each robot; then S is the mean of the expected squares. First S has one variance for all links
 and one for each effect. Then it is free, but shrunk towards that: few robots determine no full covariance.
+
+Following the minimum covariance determinant (Rousseeuw 1984), the population of a fleet is that of the most alike half.
+Then, round by round, it includes all robots that are no farther from it than members are. So the others do not move it,
+as long as they are less than half.
 """
 
 from __future__ import annotations
@@ -23,7 +27,7 @@ from geomid_ros.estimation.posterior import EffectCoordinate, RobotParameters, e
 from geomid_ros.estimation.starting_point import default_prior_stds
 from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.types import FloatArray, frozen
+from geomid_ros.types import FloatArray, IntArray, frozen
 
 FEWEST = 3
 """Least number of robots for a population."""
@@ -219,3 +223,109 @@ def linear(
     rows = manifold.by_blocks(robot.rows, *manifold.exp_jacobian(base, tangent))
     targets = robot.targets - robot.rows @ point.parameters + rows @ tangent
     return rows.T @ rows, rows.T @ targets
+
+
+_CHANCE_OF_ROBOT = 1e-2  # largest probability, over all blocks, that a member is reported as unlike
+_IDENTIFIED = 0.1  # least fraction of the variance between robots that the data resolve in a direction that counts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Membership:
+    """Distance of a robot from the others of its type.
+
+    Attributes:
+        member: True if it is one of them.
+        distance: Mahalanobis distance per direction that its data identify, about 1 for a member.
+        unlike: names of links and effects in which it is unlike them, the farthest first.
+    """
+
+    member: bool
+    distance: float
+    unlike: tuple[str, ...]
+
+
+def population_and_members(robots: Sequence[RobotLikelihood]) -> tuple[Population, list[Membership]]:
+    """Fit the population of most of these robots, and find its members; of few robots all are members.
+
+    Raises:
+        InputError: there are too few, or they have different links.
+    """
+    shared = common_likelihoods(robots)
+    if len(shared) < 2 * FEWEST - 1:  # the half of them is no population
+        population = PopulationFit(shared).population
+        return population, [Membership(member=True, distance=1.0, unlike=())] * len(shared)
+    chosen = _most_alike(shared)
+    seen = set()
+    while True:
+        fit = PopulationFit([shared[index] for index in chosen])
+        others = {index: fit.without(place) for place, index in enumerate(chosen)}
+        memberships = [_membership(others.get(index, fit.population), robot) for index, robot in enumerate(shared)]
+        inside = tuple(index for index, membership in enumerate(memberships) if membership.member)
+        if inside in seen or len(inside) < FEWEST:
+            return fit.population, memberships
+        seen.add(inside)
+        chosen = inside
+
+
+def _most_alike(robots: Sequence[RobotLikelihood]) -> tuple[int, ...]:
+    """Indices of the half of the robots whose estimates are nearest to the medians."""
+    first = robots[0]
+    manifold = replace(first.manifold, scales=np.ones(len(first.scales)))
+    base = manifold.point(first.prior)
+    coordinates = np.array([manifold.log(base, manifold.point(robot.parameters)) for robot in robots])
+    off = coordinates - np.median(coordinates, axis=0)
+    deviations = np.median(np.abs(off), axis=0) + LEAST_DEVIATION
+    nearest = np.argsort(np.mean((off / deviations) ** 2, axis=1), kind="stable")
+    return tuple(sorted(nearest[: max(FEWEST, len(robots) // 2 + 1)].tolist()))
+
+
+def _membership(population: Population, robot: RobotLikelihood) -> Membership:
+    """Membership of a robot in a population."""
+    tangent, variance = _seen(population, robot)
+    total_square, _ = _distance(population, tangent, variance, np.arange(len(tangent)))
+    ratios = {}
+    for name, block in population.blocks.items():
+        square, directions = _distance(population, tangent, variance, block)
+        ratios[name] = square / _limit(population, directions) if directions else 0.0
+    unlike = sorted((name for name, ratio in ratios.items() if ratio > 1.0), key=lambda name: -ratios[name])
+    return Membership(member=not unlike, distance=float(np.sqrt(total_square)), unlike=tuple(unlike))
+
+
+def _seen(population: Population, robot: RobotLikelihood) -> tuple[FloatArray, FloatArray]:
+    """Tangent coordinates ``(D,)`` of a robot at the mean, from its data and the population; and the covariance
+    ``(D, D)`` that such coordinates have among robots of the population."""
+    manifold, mean = population.manifold, population.point
+    precision = np.linalg.inv(population.covariance)
+    point = manifold.point(robot.parameters)
+    tangent = manifold.log(mean, point)
+    for _ in range(ROUNDS):
+        before = tangent
+        information, pull = linear(manifold, mean, robot, point)
+        posterior = np.linalg.inv(precision + information)
+        tangent = posterior @ pull
+        if np.max(np.abs(tangent - before)) < SETTLED:
+            break
+        point = manifold.exp(mean, tangent * min(1.0, LARGEST_STEP / np.max(np.abs(tangent))))
+    return tangent, population.covariance - posterior
+
+
+def _distance(population: Population, tangent: FloatArray, variance: FloatArray, block: IntArray) -> tuple[float, int]:
+    """Mean square of the block's coordinates in standard deviations, over the directions that the data identify, and
+    the number of these directions."""
+    submatrix = np.ix_(block, block)
+    whitener = np.linalg.inv(np.linalg.cholesky(population.covariance[submatrix]))
+    values, vectors = np.linalg.eigh(whitener @ variance[submatrix] @ whitener.T)
+    identified = values > _IDENTIFIED
+    if not np.any(identified):
+        return 0.0, 0
+    along = (vectors.T @ whitener @ tangent[block])[identified]
+    return float(np.mean(along**2 / values[identified])), int(np.count_nonzero(identified))
+
+
+def _limit(population: Population, directions: int) -> float:
+    """Mean square that a robot of the population seldom exceeds in any block: Hotelling's, because the covariance is
+    estimated."""
+    from scipy.stats import f  # noqa: PLC0415 slow to load, and seldom needed
+
+    freedom = max(population.robots + SHARED - directions, 4.0)
+    return float(f.isf(_CHANCE_OF_ROBOT / len(population.blocks), directions, freedom))

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from geomid_ros.estimation.tolerances import ROUNDING_OF_PRODUCTS
-from geomid_ros.geometry import spd, symmetric
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -110,7 +110,7 @@ class Posterior(RobotParameters):
 
     - ten per link, those of the symmetric matrix X of ``P^1/2 (1 + X) P^1/2``, where P is the estimated pseudo-inertia
       ``[[S, h], [h, m]]`` about the link's origin: X11, X22, X33, X44, and sqrt(2) times X12, X13, X14, X23, X24, X34
-      (:mod:`geomid_ros.geometry.symmetric`); the body is physically consistent if 1 + X is positive definite;
+      (:mod:`geomid_ros.geometry.spd`); the body is physically consistent if 1 + X is positive definite;
     - one per positive coefficient c: ``c (1 + x)``, which must be positive;
     - one per real coefficient r with the scale s: ``r + s x``.
 
@@ -218,7 +218,7 @@ class Posterior(RobotParameters):
     def _can_exist(self, coordinates: FloatArray) -> BoolArray:
         """True for robots whose bodies and positive coefficients are well above zero, for coordinates ``(N, D)``."""
         manifold = self.manifold
-        matrices = symmetric.to_matrix(coordinates[:, manifold.inertial].reshape(len(coordinates), -1, symmetric.SIZE))
+        matrices = spd.to_matrix(coordinates[:, manifold.inertial].reshape(len(coordinates), -1, spd.SIZE))
         possible = spd.is_positive_definite(matrices + (1.0 - _LEAST) * np.eye(4))
         positive = 1.0 + coordinates[:, manifold.positive] > _LEAST
         return np.asarray(np.all(possible, axis=1) & np.all(positive, axis=1))

@@ -13,7 +13,7 @@ from geomid_ros.estimation.channel_products import ChannelProducts, SelectedProd
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
 from geomid_ros.estimation.tolerances import ROUNDS
-from geomid_ros.geometry import compiled, definite
+from geomid_ros.geometry import compiled, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
 from geomid_ros.types import FloatArray
@@ -100,7 +100,7 @@ class ProfileFit:
     @cached_property
     def score(self) -> float:
         """Minus twice the log marginal likelihood in Laplace's approximation, for these scales."""
-        volume = definite.log_determinant(self.hessian)
+        volume = spd.log_determinant(self.hessian)
         return 2.0 * self.evaluation.value + volume - float(np.sum(np.log(self.objective.weights)))
 
 

@@ -11,7 +11,7 @@ from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.objective import Evaluation, Objective
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.types import FloatArray
 
@@ -169,7 +169,7 @@ class _QuadraticModel:
     def _step(self, damping: float) -> tuple[FloatArray, float] | None:
         """``x = -(H + damping 1)^-1 g`` and ``x (H + damping 1)^-1 x``; None if not positive definite."""
         try:
-            return definite.damped_step(self._hessian, self._gradient, damping)
+            return spd.damped_step(self._hessian, self._gradient, damping)
         except LinAlgError:
             return None
 

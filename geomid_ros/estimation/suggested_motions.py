@@ -13,9 +13,8 @@ from itertools import compress
 import numpy as np
 
 from geomid_ros.estimation.channel_products import triangular
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, identified
 from geomid_ros.estimation.estimate_parts import deviations_of, sensitivity_of_numbers
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified
 from geomid_ros.estimation.uncertainty import with_enlarged_prior
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold

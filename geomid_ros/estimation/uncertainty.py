@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.estimation.channel_products import triangular
 from geomid_ros.estimation.estimate import FINEST, LinksInformation
 from geomid_ros.estimation.solvers import Extrapolation
-from geomid_ros.geometry import definite, pseudo_inertia
+from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.dynamics import STEP
 from geomid_ros.model.weighed_masses import WeighedRows
@@ -180,7 +180,7 @@ def _solved(information: FloatArray, weights: FloatArray, gradient: FloatArray) 
     units = np.sqrt(weights)
     scaled = information / np.outer(units, units)
     np.fill_diagonal(scaled, np.diag(scaled) + _prior_part(scaled))
-    return np.asarray(definite.solve_or_least_squares(scaled, gradient / units) / units)
+    return np.asarray(spd.solve_or_least_squares(scaled, gradient / units) / units)
 
 
 def _prior_part(scaled: FloatArray) -> float:
@@ -239,7 +239,7 @@ def estimated_prior_stds(rows: Fold, from_prior: FloatArray, groups: Sequence[Pa
         parameter_stds = np.exp(log_stds)[member]
         scaled = np.outer(parameter_stds, parameter_stds) * rows.information
         prior_part = _prior_part(scaled)
-        posterior = definite.inverse(scaled + prior_part * np.eye(len(parameter_stds)))
+        posterior = spd.inverse(scaled + prior_part * np.eye(len(parameter_stds)))
         # Not as information times distance, of which rounding would leave little.
         moved = from_prior - parameter_stds * (
             posterior @ (prior_part * from_prior / parameter_stds - parameter_stds * rows.gradient)

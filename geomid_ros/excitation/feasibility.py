@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.excitation.belief import Belief
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import ExcitingMotion

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.excitation.belief import covariance_of
 from geomid_ros.excitation.feasibility import HALVINGS, Feasibility
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
-    from geomid_ros.exports.payload import Export
+    from geomid_ros.estimation.estimate import UncertainInertia
 
 DIGITS = 9
 """Significant digits of numbers in a description."""
@@ -47,6 +48,17 @@ _FRANKA_NOTE = (
     "  The controller adds it to the end effector that is set in Desk (Settings, End Effector): set there what stays",
     "  mounted, and export only what comes beyond it.",
 )
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """An ``inertial`` in the axes and about the origin of the link ``frame``, with a ``title`` and ``notes`` for its
+    user."""
+
+    title: str
+    frame: str
+    inertial: UncertainInertia
+    notes: tuple[str, ...] = ()
 
 
 class PayloadFormat(NamedTuple):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
+from geomid_ros.estimation.estimate import QUANTITIES, UncertainInertia
 from geomid_ros.files.models.effects_file import (
     QUANTITY_NAMES,
     is_payload,

@@ -17,10 +17,9 @@ import yaml
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.suggested_motions import instants
-from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described, described_robot
+from geomid_ros.exports.descriptions import DESCRIPTIONS, UserMjcf, as_described, described_robot, read_user_mjcf
 from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.model import ExportModel, read_model
-from geomid_ros.exports.patch_mjcf import UserMjcf, read_user_mjcf
 from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effects_entries
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.loaded_model import LoadedModel

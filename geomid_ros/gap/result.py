@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.model.effects import KnownEffect, Quantity, Values, effect_class, values_of
 from geomid_ros.types import FloatArray, IntArray
 

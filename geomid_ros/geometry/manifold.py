@@ -19,10 +19,10 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.geometry import compiled, pseudo_inertia, spd, symmetric
+from geomid_ros.geometry import compiled, pseudo_inertia, spd
 from geomid_ros.types import FloatArray, IntArray, frozen
 
-_UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
+_UNITS = spd.to_matrix(np.eye(spd.SIZE))
 _STRAIGHT = 0.5  # a number or an eigenvalue that shrinks by less moves along the straight line
 _SMALLEST_FACTOR = 0.05  # smallest factor by which one straight step scales a positive number or an inertia
 
@@ -64,12 +64,12 @@ class Point:
     @cached_property
     def links_jacobian(self) -> FloatArray:
         """Derivatives of each link's parameters by its tangent coordinates, ``(links, 10, 10)``."""
-        return frozen(pseudo_inertia.COEFFICIENTS_TO_COORDINATES @ symmetric.congruence(self.root))
+        return frozen(pseudo_inertia.COEFFICIENTS_TO_COORDINATES @ spd.congruence_matrix(self.root))
 
     @cached_property
     def to_tangent(self) -> FloatArray:
         """Matrices from the coordinates of symmetric matrices to tangent coordinates here, ``(links, 10, 10)``."""
-        return frozen(symmetric.congruence(self.inverse_root))
+        return frozen(spd.congruence_matrix(self.inverse_root))
 
     @cached_property
     def parameters(self) -> FloatArray:
@@ -98,12 +98,12 @@ class ParameterManifold:
     @property
     def dimension(self) -> int:
         """Number D of parameters and of tangent coordinates."""
-        return symmetric.SIZE * self.links + self.positives + len(self.scales)
+        return spd.SIZE * self.links + self.positives + len(self.scales)
 
     @property
     def inertial(self) -> slice:
         """Entries of the links in a vector ``(D,)``."""
-        return slice(0, symmetric.SIZE * self.links)
+        return slice(0, spd.SIZE * self.links)
 
     @property
     def positive(self) -> slice:
@@ -117,22 +117,22 @@ class ParameterManifold:
 
     def link(self, index: int) -> slice:
         """Return the entries of one link in a vector ``(D,)``."""
-        return slice(symmetric.SIZE * index, symmetric.SIZE * (index + 1))
+        return slice(spd.SIZE * index, spd.SIZE * (index + 1))
 
     @cached_property
     def links_blocks(self) -> tuple[IntArray, IntArray]:
         """Index of the links' blocks ``(links, 10, 10)`` on the diagonal of a matrix ``(D, D)``."""
-        entries = np.arange(self.inertial.stop).reshape(self.links, symmetric.SIZE)
+        entries = np.arange(self.inertial.stop).reshape(self.links, spd.SIZE)
         return entries[:, :, None], entries[:, None, :]
 
     def point(self, parameters: FloatArray) -> Point:
         """Return the point with linear parameters ``(D,)``, which must be physically consistent (unchecked)."""
-        inertial = parameters[self.inertial].reshape(self.links, symmetric.SIZE)
+        inertial = parameters[self.inertial].reshape(self.links, spd.SIZE)
         return Point(pseudo_inertia.from_parameters(inertial), parameters[self.positive], parameters[self.real])
 
     def exp(self, base: Point, tangent: FloatArray) -> Point:
         """Return the end of the geodesic (7) that leaves ``base`` with tangent coordinates ``(D,)``."""
-        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
+        matrices = spd.to_matrix(tangent[self.inertial].reshape(self.links, spd.SIZE))
         return Point(
             spd.congruence(base.root, spd.sym_exp(matrices)),
             base.positives * np.exp(tangent[self.positive]),
@@ -142,7 +142,7 @@ class ParameterManifold:
     def exp_jacobian(self, base: Point, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the derivative of the parameters of ``exp(base, tangent)`` by the tangent coordinates at ``base``, in
         the blocks of :meth:`jacobian`."""
-        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
+        matrices = spd.to_matrix(tangent[self.inertial].reshape(self.links, spd.SIZE))
         values, vectors = np.linalg.eigh(matrices)
         rotated = spd.congruence(np.swapaxes(vectors, -1, -2)[:, None], _UNITS)
         changes = spd.congruence(vectors[:, None], spd.exp_differences(values)[:, None] * rotated)
@@ -156,7 +156,7 @@ class ParameterManifold:
         boundary of the cone, an eigenvalue shrinks by a positive factor instead.
         """
         return Point(
-            self._straight_links(base, tangent[self.inertial].reshape(self.links, symmetric.SIZE)),
+            self._straight_links(base, tangent[self.inertial].reshape(self.links, spd.SIZE)),
             base.positives * _lengthened(tangent[self.positive]),
             base.reals + self.scales * tangent[self.real],
         )
@@ -167,7 +167,7 @@ class ParameterManifold:
             ends = np.empty(base.pseudo_inertias.shape)
             compiled.native.straight_lines(base.pseudo_inertias, steps, ends)
             return ends
-        matrices = symmetric.to_matrix(steps)
+        matrices = spd.to_matrix(steps)
         whitened = np.eye(4) + matrices
         long = np.flatnonzero(np.sum(steps**2, axis=1) > _STRAIGHT**2)  # all other eigenvalues are above -_STRAIGHT
         if len(long):
@@ -183,7 +183,7 @@ class ParameterManifold:
         """Return :meth:`log`, and the eigenvalues ``(links, 4)`` and eigenvectors of the links' logarithms."""
         ratios, vectors = np.linalg.eigh(spd.congruence(base.inverse_root, point.pseudo_inertias))
         values = np.log(ratios)
-        links = symmetric.to_vector(spd.composed(values, vectors)).ravel()
+        links = spd.to_vector(spd.composed(values, vectors)).ravel()
         positive, real = np.log(point.positives / base.positives), (point.reals - base.reals) / self.scales
         return np.concatenate([links, positive, real]), values, vectors
 
@@ -227,7 +227,7 @@ class ParameterManifold:
         """
         links = spd.congruence(base.inverse_root, point.pseudo_inertias) - np.eye(4)
         return np.concatenate(
-            [symmetric.to_vector(links).ravel(), point.positives - base.positives, point.reals - base.reals]
+            [spd.to_vector(links).ravel(), point.positives - base.positives, point.reals - base.reals]
         )
 
     def offset_rows(self, base: Point, rows: FloatArray) -> FloatArray:
@@ -236,13 +236,13 @@ class ParameterManifold:
 
     def whiten_offset_rows(self, base: Point, point: Point, rows: FloatArray) -> FloatArray:
         """Apply :meth:`whiten` at ``point`` to rows of :meth:`offset`."""
-        return self.by_blocks(rows, base.to_tangent @ symmetric.congruence(point.root), self.jacobian(point)[1])
+        return self.by_blocks(rows, base.to_tangent @ spd.congruence_matrix(point.root), self.jacobian(point)[1])
 
     def by_blocks(self, rows: FloatArray, blocks: FloatArray, diagonal: FloatArray) -> FloatArray:
         """Multiply rows ``(N, D)`` by a matrix in the blocks of :meth:`jacobian`."""
         whitened = np.empty(rows.shape)
         by_link = (rows[:, self.inertial], whitened[:, self.inertial])
-        before, after = (part.reshape(len(rows), self.links, symmetric.SIZE).swapaxes(0, 1) for part in by_link)
+        before, after = (part.reshape(len(rows), self.links, spd.SIZE).swapaxes(0, 1) for part in by_link)
         np.matmul(before, blocks, out=after)
         start = self.inertial.stop
         whitened[:, start:] = rows[:, start:] * diagonal

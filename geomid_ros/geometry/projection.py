@@ -43,7 +43,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.polynomial.polynomial import polyval
 
-from geomid_ros.geometry import compiled, symmetric
+from geomid_ros.geometry import compiled, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -198,7 +198,7 @@ class _Roots:
 
     def __init__(self, manifold: ParameterManifold, normals: FloatArray, offsets: FloatArray) -> None:
         count = len(normals)
-        bars = symmetric.to_matrix(normals[:, manifold.inertial].reshape(count, manifold.links, symmetric.SIZE))
+        bars = spd.to_matrix(normals[:, manifold.inertial].reshape(count, manifold.links, spd.SIZE))
         values, self.vectors = np.linalg.eigh(bars)
         self.values = np.concatenate([values.reshape(count, 4 * manifold.links), normals[:, manifold.positive]], axis=1)
         largest, smallest = np.max(self.values, axis=1, initial=0.0), np.min(self.values, axis=1, initial=0.0)
@@ -293,7 +293,7 @@ def _project(manifold: ParameterManifold, normals: FloatArray, offsets: FloatArr
     steep = roots.moved / (1.0 + lambert)
     steepness = roots.flat + np.sum(steep * roots.moved, axis=1)
     root_scale = np.where(has_root & (steepness > 0.0), 1.0 / np.sqrt(steepness), 0.0)
-    first, in_links = symmetric.SIZE * manifold.links, 4 * manifold.links
+    first, in_links = spd.SIZE * manifold.links, 4 * manifold.links
     extreme = np.zeros(len(normals), dtype=np.int64)
     if roots.values.shape[1]:
         # The end of the interval moves with the extreme eigenvalue.
@@ -303,7 +303,7 @@ def _project(manifold: ParameterManifold, normals: FloatArray, offsets: FloatArr
         lambert[rows, extreme] -= correction  # negative gradient, for the curvatures between pairs
     diagonal = lambert / (1.0 + lambert)
     diagonal[beyond, extreme[beyond]] = 0.0
-    basis = symmetric.congruence(np.swapaxes(roots.vectors, -1, -2))  # coordinates of pairs of eigenvectors, by rows
+    basis = spd.congruence_matrix(np.swapaxes(roots.vectors, -1, -2))  # coordinates of pairs of eigenvectors, by rows
 
     def by_link(components: FloatArray) -> FloatArray:
         return components[:, :in_links].reshape(len(components), manifold.links, 4)
@@ -341,8 +341,8 @@ def _project(manifold: ParameterManifold, normals: FloatArray, offsets: FloatArr
 def _pair_curvatures(values: FloatArray, lambert: FloatArray) -> FloatArray:
     """Compute ``(s_k + s_l)(W_k - W_l) / (2 (s_k - s_l))``, or its limit for equal eigenvalues, ``(..., 10)``, of the
     four ``values`` s and ``lambert`` W of each link ``(..., 4)``."""
-    one, other = (values[..., pair] for pair in (symmetric.ROWS, symmetric.COLUMNS))
-    of_one, of_other = (lambert[..., pair] for pair in (symmetric.ROWS, symmetric.COLUMNS))
+    one, other = (values[..., pair] for pair in (spd.ROWS, spd.COLUMNS))
+    of_one, of_other = (lambert[..., pair] for pair in (spd.ROWS, spd.COLUMNS))
     middle = 0.5 * (of_one + of_other)
     apart = np.abs(one - other) > 1e-7 * (np.abs(one) + np.abs(other))
     limit = np.where(middle > -1.0, middle / (1.0 + middle), 0.0)  # else a kink: two extreme eigenvalues beyond the end

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.geometry import symmetric
+from geomid_ros.geometry import spd
 from geomid_ros.types import FloatArray, frozen
 
-SIZE = symmetric.SIZE
+SIZE = spd.SIZE
 INERTIA_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 """Names of the six entries of an inertia, in the order of the parameters."""
 INERTIA_ENTRIES = (np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2]))
@@ -66,10 +66,10 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
 
 
 # Row k is the coordinate vector of the pseudo-inertia of the k-th unit parameter vector.
-_PARAMETERS_TO_COORDINATES = symmetric.to_vector(from_parameters(np.eye(SIZE)))
+_PARAMETERS_TO_COORDINATES = spd.to_vector(from_parameters(np.eye(SIZE)))
 COEFFICIENTS_TO_COORDINATES = frozen(np.linalg.inv(_PARAMETERS_TO_COORDINATES).T)
 """Coordinates ``(10, 10)`` of the matrices of :data:`COEFFICIENT_BASIS`, one per row."""
-COEFFICIENT_BASIS = symmetric.to_matrix(COEFFICIENTS_TO_COORDINATES)
+COEFFICIENT_BASIS = spd.to_matrix(COEFFICIENTS_TO_COORDINATES)
 """Matrices ``X_k (10, 4, 4)`` with ``tr((sum a_k X_k) P) = a . parameters`` for every body and row a: (18) and (20)."""
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.profile_objective import LEAST_SHARE
-from geomid_ros.inference.hypothesis import Hypothesis
+from geomid_ros.inference.prior import Hypothesis
 from geomid_ros.inference.remainder import Marginal, Remainder
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 

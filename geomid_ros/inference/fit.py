@@ -18,13 +18,12 @@ import numpy as np
 from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.link_priors import alike_rows, individual_std_cost, reestimated_individual_stds
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, fit_scales
-from geomid_ros.geometry import definite, pseudo_inertia
-from geomid_ros.geometry.definite import Packed
+from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference import prior as priors
 from geomid_ros.inference.design import BLOCKS, DEFAULT_FRACTION, Design, RemainderFit
-from geomid_ros.inference.hypothesis import Chosen, Term
-from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.prior import Chosen, Prior, Term
 from geomid_ros.types import FloatArray
 
 
@@ -85,7 +84,7 @@ class JointFit(Generic[Chosen, Term]):
     @cached_property
     def inverse(self) -> FloatArray:
         """Inverse of the information ``(D, D)``."""
-        return definite.inverse(self.information)
+        return spd.inverse(self.information)
 
     @property
     def covariance(self) -> FloatArray:
@@ -97,7 +96,7 @@ class JointFit(Generic[Chosen, Term]):
             by_link = blocks @ links.reshape(len(blocks), 10, -1)
             return np.concatenate([by_link.reshape(links.shape), diagonal[:, None] * rest])
 
-        return mapped(mapped(definite.inverse(self.information)).T)
+        return mapped(mapped(spd.inverse(self.information)).T)
 
     def covariance_of(self, terms: Sequence[Term]) -> FloatArray:
         """Covariance of some coefficients ``(k, k)``."""
@@ -219,7 +218,7 @@ def _free_fit(
         return ProfileObjective(profile, precision, earlier / inflation + zeros + _products(held, np.zeros(len(held))))
 
     def likely(point: Point, hessian: FloatArray, previous: FloatArray) -> FloatArray:
-        tangent, root = manifold.log(prior_point, point)[:payloads_at], definite.roots(hessian, payloads_at)
+        tangent, root = manifold.log(prior_point, point)[:payloads_at], spd.roots(hessian, payloads_at)
         link_stds = reestimated_prior_stds(tangent, np.sum(root**2, axis=1), prior.link_prior_stds, prior.certainty)
         individual = reestimated_individual_stds(prior.alike, np.split(previous, ends)[2], tangent, root)
         return np.concatenate([link_stds, [priors.inflation_of(rows, manifold, point, prior_point, root)], individual])

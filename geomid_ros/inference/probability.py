@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered
-from geomid_ros.inference.hypothesis import Chosen, Hypothesis, Term
+from geomid_ros.inference.prior import Chosen, Hypothesis, Term
 from geomid_ros.inference.selection import Selection
 from geomid_ros.types import FloatArray
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.inference.design import CandidateProducts, Design
 from geomid_ros.inference.fit import JointFit
-from geomid_ros.inference.hypothesis import Chosen
+from geomid_ros.inference.prior import Chosen
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _LEAST_EIGENVALUE = 1e-7  # columns with a smaller remaining part are a combination of the others

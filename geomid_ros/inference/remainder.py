@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.types import FloatArray, IntArray
 
 DEFAULT_VARIANCE = 0.3**2
@@ -65,7 +65,7 @@ class Remainder:
 
     def whitener(self, variances: FloatArray) -> FloatArray:
         """Matrix T ``(m, m)``; ``T'T`` is the posterior covariance of the coefficients, in noise variances."""
-        return definite.whitener(self.squared + self._precision(variances))
+        return spd.whitener(self.squared + self._precision(variances))
 
     def _precision(self, variances: FloatArray) -> FloatArray:
         """Prior precision of the coefficients ``(m, m)``."""
@@ -73,7 +73,7 @@ class Remainder:
         return (
             np.diag(1.0 / diagonal)
             if self.prior_covariance is None
-            else definite.inverse(self.prior_covariance + np.diag(diagonal))
+            else spd.inverse(self.prior_covariance + np.diag(diagonal))
         )
 
     def root(self, variances: FloatArray) -> FloatArray:

@@ -10,8 +10,7 @@ import numpy as np
 
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit
-from geomid_ros.inference.hypothesis import Chosen, Term
-from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.prior import Chosen, Prior, Term
 from geomid_ros.inference.rao_score import ScoreTest, score_tests
 
 KEPT_PROMISE = 2.5

@@ -13,11 +13,10 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.monitoring.payload_watch import CarriedPayload, with_payload
 from geomid_ros.session.session import Session
-from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.message_batch import NO_STAMP
-from geomid_ros.signals.messages import JOINT_STATES
+from geomid_ros.signals.messages import JOINT_STATES, Decoder
 from geomid_ros.signals.pipeline import ignore
 from geomid_ros.signals.settings import SAMPLES_PER_CUTOFF_PERIOD
 from geomid_ros.types import FloatArray, IntArray

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.exports.weighed_payload import Payload, identify_payload_at
+from geomid_ros.exports.payload import Payload, identify_payload_at
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import gap_document
 from geomid_ros.gap.result import GapResult

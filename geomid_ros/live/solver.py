@@ -1,4 +1,4 @@
-"""The solver's thread: turns rows into estimates."""
+"""The solver's thread: decides when enough data are new, and turns rows into estimates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ import numpy as np
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.live.pace import NEW_SHARE, Pace
 from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.monitoring.change_detection import (
@@ -30,6 +29,34 @@ from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import payload_watch
 from geomid_ros.session.session import Session
+
+NEW_SHARE = 1.0 / 11.0
+"""Fraction of the remembered data that must be new for a solve: the data have then grown by a tenth, and standard
+deviations have fallen by a twentieth. The estimate moves by less than a third of its standard deviation."""
+_PERIODS = 10  # after which a solve is due in any case
+
+
+class Pace:
+    """Decides at the end of each period whether a solve is due."""
+
+    def __init__(self) -> None:
+        self._seen = 0  # number of rows one period ago
+        self._skipped = 0  # periods since the last solve
+
+    def is_due(self, rows: int, much_is_new: bool) -> bool:
+        """True if a solve is due: if much is new, at every tenth period, or once no more data come.
+
+        Args:
+            rows: present number of rows, some of them newer than the last estimate.
+            much_is_new: True if at least :data:`NEW_SHARE` of them is new.
+        """
+        ceased, self._seen = rows == self._seen, rows
+        self._skipped += 1
+        if not (much_is_new or ceased or self._skipped == _PERIODS):
+            return False
+        self._skipped = 0
+        return True
+
 
 SOLVING, WATCHING = "solving", "searching for changes"
 _FAILURE = "the solver failed"

@@ -22,8 +22,7 @@ from geomid_ros.monitoring.change_detection import PART
 from geomid_ros.monitoring.payload_watch import with_payload
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import WrenchGuard
-from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Block, message_type
+from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Block, Decoder, message_type
 from geomid_ros.types import FloatArray, IntArray
 
 PATIENCE = 0.7  # [s] for both threads to end; with the last checkpoint, shutdown stays below two seconds

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pinocchio as pin
 
-from geomid_ros.geometry import pseudo_inertia, symmetric
+from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.model.robot import Body, Robot
 from geomid_ros.types import FloatArray, frozen
@@ -55,7 +55,7 @@ def _parts(model: pin.Model, bodies: Sequence[Body], group: Sequence[tuple[int, 
     return AlikeParts(
         names=tuple(bodies[link].name for link in members),
         members=members,
-        signs=frozen(mirrors[:, symmetric.ROWS] * mirrors[:, symmetric.COLUMNS]),
+        signs=frozen(mirrors[:, spd.ROWS] * mirrors[:, spd.COLUMNS]),
         motors=effort > 0.0,
     )
 

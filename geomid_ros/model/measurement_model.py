@@ -27,8 +27,8 @@ from geomid_ros.model.channels import (
 )
 from geomid_ros.model.coefficients import Coefficient, EffectPlaces, Mechanism
 from geomid_ros.model.columns import Column, Entries, affected_joints, column_of, entries_of
-from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, SensorEffect, joint_of
+from geomid_ros.model.moving_base import Contact, Legs
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray, IntArray

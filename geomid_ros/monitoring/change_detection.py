@@ -22,9 +22,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from geomid_ros.estimation.channel_products import triangular, usable
+from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.estimation.identifier import LONGEST_STEP
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.monitoring.payload_watch import REMEMBERED, ChannelNoise, PayloadWatch
@@ -279,7 +279,7 @@ class _Cusum:
         information = factor.T @ factor
         squares = np.diag(information)
         floor = _LEAST**2 * squares + np.finfo(float).eps * np.max(squares, initial=np.finfo(float).tiny)
-        covariance = definite.inverse(information + np.diag(floor))
+        covariance = spd.inverse(information + np.diag(floor))
         new, old = np.sum((coefficients @ covariance) * coefficients), np.sum(information * covariance)
         return float(new / len(coefficients) / (old / self._rows))
 

@@ -24,12 +24,11 @@ from typing import NamedTuple
 import numpy as np
 
 from geomid_ros.estimation.channel_products import usable
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, interval_of_positive
 from geomid_ros.estimation.tolerances import LARGEST_STEP, ROUNDING, ROUNDS, SETTLED
-from geomid_ros.estimation.uncertain_inertia import interval_of_positive
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ONE_BODY, Point
-from geomid_ros.geometry.symmetric import SIZE
+from geomid_ros.geometry.spd import SIZE
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.types import FloatArray, IntArray, frozen
@@ -154,7 +153,7 @@ class _Baseline:
     def learn(self, products: FloatArray, share: float) -> FloatArray:
         """Learn from rows; those before keep a ``share`` of their weight. Return the step of the mean."""
         self.information *= share
-        step = definite.solve_or_least_squares(self.whole(products), products[:-1, -1])
+        step = spd.solve_or_least_squares(self.whole(products), products[:-1, -1])
         self.information += products[:-1, :-1]
         self.mean += step
         return step
@@ -163,7 +162,7 @@ class _Baseline:
         """``[[H h], [h' S]] (11, 11)`` of rows; and the same for the channel's effects, ``(k + 1, k + 1)``."""
         kept = np.concatenate([self._effects, self.body, [len(self.columns)]])
         right = products[:-1, kept]
-        total = products[np.ix_(kept, kept)] - right.T @ definite.solve_or_least_squares(self.whole(products), right)
+        total = products[np.ix_(kept, kept)] - right.T @ spd.solve_or_least_squares(self.whole(products), right)
         count, rest = len(self._effects), len(self._effects) + np.arange(SIZE + 1)
         effects_only = np.append(np.arange(count), rest[-1])
         return total[count:, count:], total[np.ix_(effects_only, effects_only)]
@@ -334,7 +333,7 @@ class PayloadWatch:
             jacobian = point.links_jacobian[0]
             hessian = jacobian.T @ likelihood.information @ jacobian
             slope = jacobian.T @ (likelihood.slope - likelihood.information @ point.parameters) + precision * away
-            step = definite.solve_or_least_squares(hessian + precision * curvature[0], slope)
+            step = spd.solve_or_least_squares(hessian + precision * curvature[0], slope)
             length = float(np.linalg.norm(step))
             if length < SETTLED:
                 break
@@ -344,7 +343,7 @@ class PayloadWatch:
         information = jacobian.T @ likelihood.information @ jacobian + precision * np.eye(SIZE)
         occam = 0.5 * float(np.linalg.slogdet(information / precision)[1])
         gain = likelihood.gain(point.parameters) - 0.5 * precision * float(away @ away) - occam
-        return _Fit(point, gain - likelihood.unknown, jacobian @ definite.inverse(information) @ jacobian.T)
+        return _Fit(point, gain - likelihood.unknown, jacobian @ spd.inverse(information) @ jacobian.T)
 
 
 def _largest_gain(information: FloatArray, slope: FloatArray) -> float:

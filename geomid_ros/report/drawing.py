@@ -13,9 +13,8 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.colours import DOUBT, FAINT, FRAME, GRID, IDENTIFIED, INK, MEASURED, URDF
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
-from geomid_ros.report.page import number
+from geomid_ros.report.page import DOUBT, FAINT, FRAME, GRID, IDENTIFIED, INK, MEASURED, URDF, number
 from geomid_ros.report.pictures import CHANNELS, ROBOT, SIZE, add_axes, add_text, new_figure, shortened, text_width
 from geomid_ros.report.robot_drawing import draw_bodies
 from geomid_ros.report.series import MOST_DRAWN, Clock, Series, limits, thinned

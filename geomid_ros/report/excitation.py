@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.excitation.belief import ExpectedUncertainty
 from geomid_ros.files.disk import check_writable, make_folder, write_json
 from geomid_ros.files.models.estimate_file import by_channel
@@ -18,8 +18,7 @@ from geomid_ros.files.trajectories import write_bag, write_csv, write_yaml
 from geomid_ros.model.collision import HalfSpace, Obstacle
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import samples_of
-from geomid_ros.report.colours import FAINT, IDENTIFIED, INK
-from geomid_ros.report.page import Script, write_page
+from geomid_ros.report.page import FAINT, IDENTIFIED, INK, Script, write_page
 from geomid_ros.report.pictures import new_figure, write_picture
 from geomid_ros.session.excitation import Excitation
 from geomid_ros.types import FloatArray

@@ -23,8 +23,20 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.report import gap_words
-from geomid_ros.report.colours import BEFORE, FLOOR, FRAME, GRID, IDENTIFIED, INK
-from geomid_ros.report.page import Bars, Script, dots_path, rendered_page, ticks, write_page
+from geomid_ros.report.page import (
+    BEFORE,
+    FLOOR,
+    FRAME,
+    GRID,
+    IDENTIFIED,
+    INK,
+    Bars,
+    Script,
+    dots_path,
+    rendered_page,
+    ticks,
+    write_page,
+)
 from geomid_ros.report.series import BINS, MOST_DRAWN, SCRIPT, ChannelTrace, Series, elapsed, traces
 from geomid_ros.resimulation.resimulate import HORIZON, Kind, Resimulated
 from geomid_ros.types import FloatArray

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
+from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, STDS_OF_95
 from geomid_ros.gap.judgement.held_out import GAP_ABOVE
 from geomid_ros.gap.result import Confidence, Finding, GapResult, LinkChange, Ranked, Rival, Unexplained
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class

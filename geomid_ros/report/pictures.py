@@ -23,8 +23,8 @@ from matplotlib.textpath import text_to_path
 from geomid_ros.errors import one_line
 from geomid_ros.files.disk import write_bytes
 from geomid_ros.model.shape_prior import LinkPrior
-from geomid_ros.report.colours import FRAME, GRID, IDENTIFIED, INK, URDF
 from geomid_ros.report.ellipsoids import Ellipsoid, View
+from geomid_ros.report.page import FRAME, GRID, IDENTIFIED, INK, URDF
 from geomid_ros.types import FloatArray, IntArray
 
 AxesRectangle: TypeAlias = tuple[float, float, float, float]

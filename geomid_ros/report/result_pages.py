@@ -10,8 +10,7 @@ from pathlib import Path
 
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.estimation.comparison import Compared, Difference
-from geomid_ros.estimation.estimate import LinkEstimate
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, STDS_OF_95
+from geomid_ros.estimation.estimate import QUANTITIES, STDS_OF_95, LinkEstimate
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.effects import Quantity, effect_class
 from geomid_ros.report import gap_words

@@ -16,7 +16,6 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import PercentFormatter
 from matplotlib.transforms import Affine2D
 
-from geomid_ros.report.colours import DOUBT, FAINT, FRAME, GRID, INK, SHARES, STICKS, URDF
 from geomid_ros.report.ellipsoids import (
     BodyDrawing,
     View,
@@ -29,7 +28,7 @@ from geomid_ros.report.ellipsoids import (
     thickened,
     view_of,
 )
-from geomid_ros.report.page import NONE
+from geomid_ros.report.page import DOUBT, FAINT, FRAME, GRID, INK, NONE, SHARES, STICKS, URDF
 from geomid_ros.report.page import number as written
 from geomid_ros.report.pictures import ROBOT, AxesRectangle, add_area, add_axes, add_text, shortened
 from geomid_ros.types import FloatArray

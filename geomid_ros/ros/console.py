@@ -7,8 +7,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 
 from geomid_ros.errors import one_line
-from geomid_ros.estimation.estimate import Estimate, LinkEstimate
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Log
 from geomid_ros.ros.diagnostics import Advised

@@ -7,14 +7,17 @@ import signal
 from collections.abc import Callable
 from importlib.util import find_spec
 from multiprocessing import get_context
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from geomid_ros.errors import InputError
-from geomid_ros.live.dashboard_state import Diagnosis, state_of
 from geomid_ros.live.threads import end_with_parent
 from geomid_ros.ros.startup import PAUSE, running_node
+
+if TYPE_CHECKING:
+    from geomid_ros.live.dashboard import Diagnosis
 
 _PATIENCE = 0.5  # [s] for its process to end
 
@@ -36,7 +39,7 @@ def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> No
 
 
 async def _run(node: str, port: int | None, say: Callable[[str], None], listener: Node) -> None:
-    from geomid_ros.live.dashboard_server import served_board  # noqa: PLC0415 the node does not load its library
+    from geomid_ros.live.dashboard import served_board, state_of  # noqa: PLC0415 the node does not load its library
 
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -53,6 +56,8 @@ async def _run(node: str, port: int | None, say: Callable[[str], None], listener
 
 
 def _diagnoses(message: DiagnosticArray) -> list[Diagnosis]:
+    from geomid_ros.live.dashboard import Diagnosis  # noqa: PLC0415
+
     return [
         Diagnosis(
             status.name,

@@ -11,9 +11,8 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from geomid_ros.errors import one_line
-from geomid_ros.estimation.estimate import Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.estimation.identifier import STANDING_STILL
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.saving import CheckpointStatus
 from geomid_ros.live.searches import FoundGap, SearchStatus

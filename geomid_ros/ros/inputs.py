@@ -79,7 +79,7 @@ _CLASSES = {kind.__name__: kind for kind in (WrenchStamped, Odometry, Imu, Joint
 
 class RosTypes:
     """Deserialises messages with ROS where rosbags is not installed; see
-    :func:`~geomid_ros.signals.decoding.read_without_rosbags`."""
+    :func:`~geomid_ros.signals.messages.read_without_rosbags`."""
 
     def deserialize_cdr(self, data: bytes, kind: str) -> Any:
         """Return the message of this type in ``data``. Raises the errors of rclpy for invalid bytes."""

@@ -31,12 +31,11 @@ from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
 from geomid_ros.ros.inputs import Inputs, RosTypes, read_parameters
-from geomid_ros.ros.outputs import Outputs, latched
+from geomid_ros.ros.outputs import Outputs, Streaming, latched
 from geomid_ros.ros.startup import starting_ros
-from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.configuration import AT_ANY_TIME, Configuration, find_parameter
-from geomid_ros.signals.decoding import read_without_rosbags
 from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.messages import read_without_rosbags
 
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 

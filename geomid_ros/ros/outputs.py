@@ -1,9 +1,12 @@
-"""Publishers of the node's results, and estimates as ROS messages."""
+"""Publishers of the node's results: estimates as ROS messages, and predicted efforts at the rate of the messages."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from functools import cache
+from operator import attrgetter
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -11,22 +14,26 @@ from geometry_msgs.msg import InertiaStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate, effort_deviations
-from geomid_ros.exports.weighed_payload import Payload
+from geomid_ros.exports.payload import Payload
 from geomid_ros.files.schema import FORMAT
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.live.effort_predictor import EffortPredictor
+from geomid_ros.live.effort_predictor import EffortPredictor, Predicted
+from geomid_ros.live.inbox import Received
 from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Listener
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion
 from geomid_ros.monitoring.payload_watch import CarriedPayload
+from geomid_ros.ros.inputs import Inputs
 from geomid_ros.session.session import Session, identified_urdf
+from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.types import FloatArray
 
 _LARGEST_MARKER = 2.0  # [m] an unidentifiable link may have any size, which RViz need not show
@@ -144,3 +151,93 @@ def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
     fraction = link.from_data
     marker.color = ColorRGBA(r=0.2 + 0.7 * fraction, g=0.45, b=0.9 - 0.7 * fraction, a=0.5)
     return marker
+
+
+_PERIOD = 5e-3  # [s] between polls for messages, each of which costs as much as a message
+
+
+class Streaming:
+    """Publishes ``~/streamed_joint_states`` while it has subscribers, and keeps the messages for the worker."""
+
+    def __init__(self, node: Node, inputs: Inputs, predictor: EffortPredictor, warn: Callable[[str], None]) -> None:
+        """
+        Args:
+            node: publishes.
+            inputs: where messages wait.
+            predictor: predicts them.
+            warn: receives the reason why messages are not streamed.
+        """
+        self._inputs = inputs
+        self._publisher = node.create_publisher(JointState, "~/streamed_joint_states", 1000)
+        self._predictor = predictor
+        self._early: list[Received] = []
+        self._warn = warn
+        self._warned: set[str] = set()
+
+    def forget(self) -> None:
+        """Predict nothing until the next estimate."""
+        self._predictor.forget()
+        self._warned.clear()
+
+    def drain(self) -> list[Received]:
+        """Return all messages that were not taken yet."""
+        messages, self._early = [*self._early, *self._inputs.poll()], []
+        return sorted(messages, key=attrgetter("time"))
+
+    @property
+    def active(self) -> bool:
+        """True if there is a subscriber, and an estimate to predict with."""
+        return self._predictor.ready and bool(self._publisher.get_subscription_count())
+
+    def wait(self, seconds: float) -> None:
+        """Wait, and predict messages meanwhile. An error is raised, and stops predictions until the next estimate."""
+        end = time.monotonic() + seconds
+        if self._publisher.get_subscription_count():
+            self._say(self._predictor.obstacle)
+        while self.active and time.monotonic() < end:
+            time.sleep(_PERIOD)
+            self._predict()
+        time.sleep(max(0.0, end - time.monotonic()))
+
+    def _predict(self) -> None:
+        messages, handle = self._inputs.poll(JOINT_STATES), self._publisher.handle
+        self._early += messages
+        try:
+            for predicted in self._predictor.predict([message.data for message in messages]):
+                with handle:
+                    for data in serialised(predicted):
+                        handle.publish_raw(data)
+        except Exception:
+            self.forget()
+            raise
+        for reason in tuple(self._predictor.refused):
+            self._say(reason)
+
+    def _say(self, reason: str) -> None:
+        """Warn once why messages are not streamed."""
+        if reason and reason not in self._warned:
+            self._warned.add(reason)
+            self._warn(f"{self._publisher.topic_name} lacks messages: {reason}")
+
+
+@cache
+def _template(joints: tuple[str, ...]) -> tuple[bytes, np.dtype[np.void]]:
+    """Return a message of these joints with zeros as numbers, and its layout."""
+    zeros = [0.0] * len(joints)
+    data = serialize_message(JointState(name=joints, position=zeros, velocity=zeros, effort=zeros))
+    numbers, count = ("<f8", (len(joints),)), "V8"  # an array's length precedes it, and is aligned
+    begin = f"V{len(data) - 12 - 3 * 8 * len(joints) - 2 * 8}"  # header and names
+    stamp = [("", "V4"), ("seconds", "<u4"), ("nanoseconds", "<u4"), ("", begin)]
+    return data, np.dtype(
+        [*stamp, ("position", numbers), ("", count), ("velocity", numbers), ("", count), ("effort", numbers)]
+    )
+
+
+def serialised(predicted: Predicted) -> Iterator[bytes]:
+    """Yield the messages (CDR). Making and serialising them one by one takes several times as long."""
+    data, form = _template(predicted.joints)
+    messages = np.frombuffer(bytearray(data * len(predicted.stamps)), form)
+    messages["seconds"], messages["nanoseconds"] = np.divmod(predicted.stamps, 10**9)
+    messages["position"], messages["velocity"] = predicted.motion[:2]
+    messages["effort"] = predicted.efforts
+    return (message.tobytes() for message in messages)

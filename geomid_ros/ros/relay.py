@@ -28,9 +28,8 @@ from geomid_ros.errors import GeomidError, InputError, one_line
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.trajectories import trajectory_of
 from geomid_ros.model.effects import EFFECTS
-from geomid_ros.ros.action_relay import NOT_SENT, ActionRelay, Filled
+from geomid_ros.ros.controller import NOT_SENT, ActionRelay, Filled, follow_joint_trajectory, message_of
 from geomid_ros.ros.diagnostics import status_message
-from geomid_ros.ros.excite.controller import follow_joint_trajectory, message_of
 from geomid_ros.ros.outputs import inertia_message, ros_time
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -184,7 +183,7 @@ _CONTROLLER = "/joint_trajectory_controller"
 class FeedforwardRelay:
     """Adds efforts to trajectories on ``~/joint_trajectory``, and sends them on to ``CONTROLLER/joint_trajectory``.
 
-    It does the same for goals of ``~/follow_joint_trajectory`` (:class:`~geomid_ros.ros.action_relay.ActionRelay`) if
+    It does the same for goals of ``~/follow_joint_trajectory`` (:class:`~geomid_ros.ros.controller.ActionRelay`) if
     ``control_msgs`` is installed.
 
     Parameters of its node: ``model`` (an estimate.json, which is read again after a change), ``urdf``, ``config``,

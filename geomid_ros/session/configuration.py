@@ -19,9 +19,9 @@ from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.channels import AXES, WrenchSensor
-from geomid_ros.model.contacts import Contact
 from geomid_ros.model.controller import Gains
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
+from geomid_ros.model.moving_base import Contact
 from geomid_ros.model.weighed_masses import WeighedMass
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray

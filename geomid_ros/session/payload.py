@@ -12,15 +12,14 @@ import numpy as np
 from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.verdict import Verdict, recording_verdict
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, UncertainInertia, identified, quantities_and_moments
 from geomid_ros.estimation.estimator import WarmStart, estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia, identified, quantities_and_moments
 from geomid_ros.files.models.posterior import places_in
-from geomid_ros.geometry.symmetric import SIZE
+from geomid_ros.geometry.spd import SIZE
 from geomid_ros.inference.prior import GAIN, PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import Samples

@@ -18,9 +18,8 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.review import faulty_streams
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
-from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import meaning_of
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, AcceptedMessages, message_type
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, AcceptedMessages, Decoder, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.unitree import KINDS
 

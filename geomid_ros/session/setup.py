@@ -12,8 +12,8 @@ import numpy as np
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import PDController
-from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.urdf_tree import parse
 from geomid_ros.session.configuration import Configuration

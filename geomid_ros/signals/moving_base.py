@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomid_ros.model import se3
-from geomid_ros.model.imu import ImuMount
+from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import GridValues
@@ -104,7 +104,7 @@ class Stance:
         """
         Args:
             loads: function that computes the load of each foot ``(N, feet)``, as a fraction of weight / number of feet
-                (:meth:`~geomid_ros.model.contacts.Legs.loads`).
+                (:meth:`~geomid_ros.model.moving_base.Legs.loads`).
             cutoff: cutoff of the low-pass on all signals [Hz].
         """
         self._loads = loads

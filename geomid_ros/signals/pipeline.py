@@ -19,7 +19,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import PDController
-from geomid_ros.model.imu import ImuMount
+from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import JointReader, RejectedError

@@ -16,8 +16,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.controller import PDController
-from geomid_ros.signals.decoding import LITTLE_ENDIAN, Raw
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, LITTLE_ENDIAN, Raw
 from geomid_ros.types import FloatArray
 
 LOW_STATE, LOW_CMD = "unitree_go/msg/LowState", "unitree_go/msg/LowCmd"

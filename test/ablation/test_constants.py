@@ -9,17 +9,17 @@ import pytest
 
 from benchmarks.ablation.constants import Constant
 from benchmarks.ablation.running import Case, Figures, baseline, changed_by
-from geomid_ros.estimation import uncertain_inertia
+from geomid_ros.estimation import estimate
 from geomid_ros.monitoring import change_detection
 
 BLOCK = Constant("geomid_ros.monitoring.change_detection", "", "BLOCK")
-SURE = Constant("geomid_ros.estimation.uncertain_inertia", "", "STDS_OF_95")
+SURE = Constant("geomid_ros.estimation.estimate", "", "STDS_OF_95")
 
 
 @pytest.fixture
 def changed() -> Iterator[tuple[int, float]]:
     """The block and the interval are three times as long."""
-    usual = change_detection.BLOCK, uncertain_inertia.STDS_OF_95
+    usual = change_detection.BLOCK, estimate.STDS_OF_95
     for constant, value in zip((BLOCK, SURE), usual, strict=True):
         constant.change(3 * value)
     yield usual
@@ -31,7 +31,7 @@ def test_importers_and_computed_numbers_follow(changed: tuple[int, float]) -> No
     block, sure = changed
     assert 3 * block == change_detection.BLOCK
     assert 6 * block == change_detection.LATE
-    assert 3 * sure == uncertain_inertia.STDS_OF_95 == vars(change_detection)["STDS_OF_95"]
+    assert 3 * sure == estimate.STDS_OF_95 == vars(change_detection)["STDS_OF_95"]
 
 
 def test_lines_that_read_it() -> None:

@@ -16,7 +16,7 @@ from files.recordings import BAGS
 import geomid_ros
 from geomid_ros.api.options import FleetOptions, IdentifyOptions, PayloadOptions, RecordingOptions, RobotOptions
 from geomid_ros.api.robot import configuration
-from geomid_ros.commands.root import root
+from geomid_ros.commands import root
 from geomid_ros.options import explained
 from geomid_ros.session.configuration import find_parameter
 from geomid_ros.session.options import MotionOptions

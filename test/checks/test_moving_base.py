@@ -8,8 +8,8 @@ from model.robots import random_samples, urdf, with_values
 
 from geomid_ros.checks.moving_base import gyroscope, on_all_feet
 from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
-from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.moving_base import Contact, Legs
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray

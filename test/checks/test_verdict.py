@@ -15,8 +15,8 @@ from geomid_ros.checks.verdict import Verdict, poorly_predicted, verdict, worse_
 from geomid_ros.estimation.estimate import Estimate, WeighedEstimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.contacts import Contact
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.moving_base import Contact
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 

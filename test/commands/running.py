@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from files.recordings import BAGS
 from matplotlib.figure import Figure
 
-from geomid_ros.commands.root import root
+from geomid_ros.commands import root
 
 WRIST = ("--wrench", "/wrench:wrist_ft:mounted")
 # To choose among effects takes most of an identification's time.

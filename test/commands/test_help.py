@@ -10,7 +10,7 @@ import click
 import pytest
 
 import geomid_ros
-from geomid_ros.commands.root import COMMANDS, root
+from geomid_ros.commands import COMMANDS, root
 
 from .running import done
 
@@ -48,7 +48,7 @@ def loaded(*lines: tuple[str, ...], completing: str = "") -> set[str]:
     script = (
         "import sys\n"
         "from contextlib import suppress\n"
-        "from geomid_ros.commands.root import main\n"
+        "from geomid_ros.commands import main\n"
         f"for arguments in {lines or ((),)!r}:\n"
         "    sys.argv = ['geomid', *arguments]\n"
         "    with suppress(SystemExit):\n"

@@ -53,7 +53,7 @@ def test_without_a_report_nothing_is_drawn(tmp_path: Path) -> None:
     script = (
         "import sys\n"
         "from contextlib import suppress\n"
-        "from geomid_ros.commands.root import main\n"
+        "from geomid_ros.commands import main\n"
         "with suppress(SystemExit):\n"
         "    main()\n"
         "sys.exit('matplotlib' in sys.modules)"

@@ -8,8 +8,8 @@ import click
 import pytest
 from files.recordings import BAGS
 
+from geomid_ros.commands import root
 from geomid_ros.commands.options import Names
-from geomid_ros.commands.root import root
 
 from .running import refused
 

@@ -13,9 +13,9 @@ import pytest
 from files.recordings import BAGS
 
 import geomid_ros
+from geomid_ros.commands import COMMANDS, root
 from geomid_ros.commands.live import shared_file
 from geomid_ros.commands.options import Output
-from geomid_ros.commands.root import COMMANDS, root
 from geomid_ros.errors import InputError
 
 from .running import refused
@@ -82,7 +82,7 @@ def said_without(library: str, module: str, *arguments: str) -> str:
 @pytest.mark.parametrize(("library", "package"), [("backports", "backports.zstd"), ("pinocchio", "pin")])
 def test_a_command_names_it(library: str, package: str) -> None:
     arguments = ("identify", str(BAGS / "arm3"), "--urdf", str(BAGS / "arm3.urdf"))
-    said = said_without(library, "geomid_ros.commands.root", *arguments)
+    said = said_without(library, "geomid_ros.commands", *arguments)
     assert said == f"Error: {library} is not installed: pip install {package}"
 
 
@@ -93,7 +93,7 @@ def test_the_node_names_it() -> None:
 
 @pytest.mark.skipif(find_spec("rclpy") is None, reason="ROS is not installed")
 def test_the_dashboard_names_it() -> None:
-    said = said_without("tornado", "geomid_ros.commands.root", "dashboard")
+    said = said_without("tornado", "geomid_ros.commands", "dashboard")
     assert said == "Error: tornado is not installed: pip install tornado"
 
 

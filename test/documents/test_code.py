@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 import geomid_ros
-from geomid_ros.commands.root import root
+from geomid_ros.commands import root
 from geomid_ros.estimation import paper_estimator
 from geomid_ros.session.configuration import PARAMETERS, Configuration
 from geomid_ros.simulation import EFFECTS, NOTHING, parse_hidden

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
-from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
+from geomid_ros.estimation.comparison import ChangedLink, LinkEvidence, changed_links
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.geometry import pseudo_inertia
 

@@ -8,10 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, interval_of_positive
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.estimation.uncertain_inertia import interval_of_positive
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import identifiable

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.file_fits import fit_files, held_columns
+from geomid_ros.estimation.effect_selection import fit_files, held_columns
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.models.readers import ELEMENTS

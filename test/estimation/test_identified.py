@@ -11,16 +11,17 @@ from files.estimates import estimate_of, link_estimate
 from files.recordings import BAGS
 
 from estimation.arms import arm, summary
-from geomid_ros.estimation.estimate import Estimate, LinksInformation
-from geomid_ros.estimation.estimator import EstimatorSettings, estimate
-from geomid_ros.estimation.suggested_motions import FAST, POSES, TILTED, suggested_motions
-from geomid_ros.estimation.uncertain_inertia import (
+from geomid_ros.estimation.estimate import (
     QUANTITIES,
+    Estimate,
+    LinksInformation,
     identified,
     interval_of_positive,
     quantities_and_moments,
     sizes,
 )
+from geomid_ros.estimation.estimator import EstimatorSettings, estimate
+from geomid_ros.estimation.suggested_motions import FAST, POSES, TILTED, suggested_motions
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.measurement_model import MeasurementModel

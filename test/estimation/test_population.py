@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.comparison import population_and_members
-from geomid_ros.estimation.population import Population, PopulationFit, RobotLikelihood, common_likelihoods
+from geomid_ros.estimation.population import (
+    Population,
+    PopulationFit,
+    RobotLikelihood,
+    common_likelihoods,
+    population_and_members,
+)
 from geomid_ros.types import FloatArray
 
 from .arms import parameters, solved

@@ -10,10 +10,9 @@ import pytest
 from geometry import bodies
 from scipy.signal import lfilter
 
-from geomid_ros.estimation.estimate import Estimate, effort_deviations
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, effort_deviations
 from geomid_ros.estimation.estimator import WHITE_ROWS_PER_PERIOD, EstimatorSettings, estimate, filtered_fraction
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.estimation.uncertainty import (
     Fold,
     ParameterGroup,

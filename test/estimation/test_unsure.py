@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.estimation.estimator import _least_significant
-from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
 
 from .arms import Truth, arm, efforts, solved

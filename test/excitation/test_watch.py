@@ -10,7 +10,7 @@ import pytest
 from signals.sent import JointMessage
 
 from excitation.motions import Motion, bump
-from geomid_ros.excitation.motion_monitor import JointState, MotionMonitor, RobotLimits
+from geomid_ros.excitation.limits import JointState, MotionMonitor, RobotLimits
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.types import FloatArray
 

@@ -15,8 +15,8 @@ from scipy.interpolate import CubicHermiteSpline
 from excitation.motions import BUMP, Motion, bump
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.approach import stopping_accelerations, stopping_trajectory, trajectory_through
+from geomid_ros.excitation.limits import RobotLimits, check_motion
 from geomid_ros.excitation.motion import Trajectory
-from geomid_ros.excitation.motion_monitor import RobotLimits, check_motion
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.model.robot import Robot
 

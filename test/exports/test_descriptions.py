@@ -16,9 +16,8 @@ from model.robots import random_samples
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.descriptions import DESCRIPTIONS, described
+from geomid_ros.exports.descriptions import DESCRIPTIONS, described, patch_user_mjcf
 from geomid_ros.exports.model import ExportModel, read_model
-from geomid_ros.exports.patch_mjcf import patch_user_mjcf
 from geomid_ros.exports.payload import each_link
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.mjcf import mjcf

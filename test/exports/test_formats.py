@@ -18,8 +18,9 @@ from geometry_msgs.msg import Inertia, Vector3
 from geomid_ros.errors import InputError
 from geomid_ros.exports import formats
 from geomid_ros.exports.descriptions import DescriptionFiles, DescriptionFormat
+from geomid_ros.exports.formats import Export
 from geomid_ros.exports.model import read_model
-from geomid_ros.exports.payload import Export, attached, each_link
+from geomid_ros.exports.payload import attached, each_link
 from geomid_ros.geometry import pseudo_inertia
 
 from .points import Chain, Link, Points, points

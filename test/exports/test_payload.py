@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.uncertain_inertia import UncertainInertia
+from geomid_ros.estimation.estimate import UncertainInertia
+from geomid_ros.exports.formats import Export
 from geomid_ros.exports.model import read_model
-from geomid_ros.exports.payload import Export, Summand, attached, difference, each_link, sum_of_links, total
+from geomid_ros.exports.payload import Summand, attached, difference, each_link, sum_of_links, total
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity

@@ -13,8 +13,7 @@ from typing import Any
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from geomid_ros.signals.decoding import Raw
-from geomid_ros.signals.messages import JOINT_STATES, Message, parse
+from geomid_ros.signals.messages import JOINT_STATES, Message, Raw, parse
 
 BAGS = Path(__file__).parents[2] / "bags"
 TYPES = get_typestore(Stores.ROS2_JAZZY)

@@ -64,7 +64,7 @@ def test_a_large_file_is_not_read_to_its_end(tmp_path: Path) -> None:
 OPENING = """
 import json, sys
 from pathlib import Path
-from geomid_ros.commands.root import root
+from geomid_ros.commands import root
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 urdf, *commands = sys.argv[1:]

@@ -11,7 +11,6 @@ from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.contacts import Contact
 from geomid_ros.model.effects import (
     DEFAULT_EFFECTS,
     EFFECTS,
@@ -26,6 +25,7 @@ from geomid_ros.model.effects import (
 from geomid_ros.model.effects.drive import CROSSINGS
 from geomid_ros.model.effects.friction import DISTANCES, SETTING_IN, SMOOTHINGS, SPEEDS
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.moving_base import Contact
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.session.gap import find_gap_in_samples

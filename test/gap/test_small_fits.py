@@ -12,8 +12,7 @@ from scipy.stats import chi2
 
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective
 from geomid_ros.estimation.solvers import trust_region
-from geomid_ros.gap.candidates import Candidate, EffectTerm, passivity_constraints
-from geomid_ros.gap.judgement.quantities import parameters
+from geomid_ros.gap.candidates import Candidate, EffectTerm, parameters, passivity_constraints
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.inference import prior as before

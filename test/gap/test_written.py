@@ -16,7 +16,7 @@ from geomid_ros.gap.evidence.records import Records
 from geomid_ros.gap.judgement import confirmed_changes as written_module
 from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
-from geomid_ros.geometry.definite import Packed
+from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Quantity
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import lambertw
 
-from geomid_ros.geometry import projection, pseudo_inertia, spd, symmetric
+from geomid_ros.geometry import projection, pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.projection import NO_ROOT_LOW, ROOT, Projection
 from geomid_ros.types import FloatArray
@@ -70,7 +70,7 @@ def row_of(point: Point, bar: FloatArray) -> FloatArray:
 
 def spectrum(manifold: ParameterManifold, normal: FloatArray) -> FloatArray:
     """The eigenvalues s of a whitened row: of its links' X-bar, then its positives."""
-    matrices = symmetric.to_matrix(normal[manifold.inertial].reshape(-1, 10))
+    matrices = spd.to_matrix(normal[manifold.inertial].reshape(-1, 10))
     return np.concatenate([np.linalg.eigvalsh(matrices).ravel(), normal[manifold.positive]])
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from geomid_ros.geometry import definite
+from geomid_ros.geometry import spd
 from geomid_ros.types import FloatArray
 
 
@@ -26,10 +26,10 @@ def test_they_are_solved_and_inverted_as_by_general_methods(
         monkeypatch.setattr("geomid_ros.geometry.compiled.native", None)
     matrix, right = of_size(size), np.arange(1.0, size + 1.0)
     given, both = matrix.copy(), np.column_stack([right, right**2.0])
-    assert definite.solve_or_least_squares(matrix, right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-12)
-    assert definite.solve_or_least_squares(matrix, both) == pytest.approx(np.linalg.solve(matrix, both), rel=1e-11)
-    assert definite.inverse(matrix) == pytest.approx(np.linalg.inv(matrix), rel=1e-12, abs=1e-15)
-    whitener = definite.whitener(matrix)
+    assert spd.solve_or_least_squares(matrix, right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-12)
+    assert spd.solve_or_least_squares(matrix, both) == pytest.approx(np.linalg.solve(matrix, both), rel=1e-11)
+    assert spd.inverse(matrix) == pytest.approx(np.linalg.inv(matrix), rel=1e-12, abs=1e-15)
+    whitener = spd.whitener(matrix)
     assert whitener @ matrix @ whitener.T == pytest.approx(np.eye(size), abs=1e-12)
     assert any(np.array_equal(whitener, half(whitener)) for half in (np.tril, np.triu))
     assert np.array_equal(matrix, given)
@@ -55,37 +55,37 @@ def test_steps_and_variances_are_those_of_the_dense_inverse(
         monkeypatch.setattr("geomid_ros.geometry.compiled.native", None)
     matrix, gradient, damping = of(size), np.arange(1.0, size + 1.0), 0.3
     given, inverse = matrix.copy(), np.linalg.inv(matrix + damping * np.eye(size))
-    step, bend = definite.damped_step(matrix, gradient, damping)
+    step, bend = spd.damped_step(matrix, gradient, damping)
     assert step == pytest.approx(-inverse @ gradient, rel=1e-9)
     assert bend == pytest.approx(step @ inverse @ step, rel=1e-9)
     count = (size + 1) // 2
     covariance = np.linalg.inv(matrix)[:count, :count]
-    root = definite.roots(matrix, count)
+    root = spd.roots(matrix, count)
     assert root @ root.T == pytest.approx(covariance, rel=1e-9, abs=1e-12)
-    assert definite.variances(matrix, count) == pytest.approx(np.diag(covariance), rel=1e-9)
-    assert definite.log_determinant(matrix) == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-9)
+    assert spd.variances(matrix, count) == pytest.approx(np.diag(covariance), rel=1e-9)
+    assert spd.log_determinant(matrix) == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-9)
     assert np.array_equal(matrix, given)
     with pytest.raises(np.linalg.LinAlgError):
-        definite.damped_step(matrix - 2.0 * np.max(np.diag(matrix)) * np.eye(size), gradient, 0.0)
+        spd.damped_step(matrix - 2.0 * np.max(np.diag(matrix)) * np.eye(size), gradient, 0.0)
 
 
 def test_an_inverse_is_symmetric() -> None:
-    inverse = definite.inverse(of_size(20, seed=1))
+    inverse = spd.inverse(of_size(20, seed=1))
     assert np.array_equal(inverse, inverse.T)
 
 
 def test_an_indefinite_one_is_solved_and_inverted_by_general_methods() -> None:
     matrix = np.diag([1.0, -2.0, 4.0])
-    assert definite.variances(matrix, 1) == pytest.approx([1.0])
-    assert definite.inverse(matrix) == pytest.approx(np.diag([1.0, -0.5, 0.25]))
-    assert definite.solve_or_least_squares(matrix, np.ones(3)) == pytest.approx([1.0, -0.5, 0.25])
+    assert spd.variances(matrix, 1) == pytest.approx([1.0])
+    assert spd.inverse(matrix) == pytest.approx(np.diag([1.0, -0.5, 0.25]))
+    assert spd.solve_or_least_squares(matrix, np.ones(3)) == pytest.approx([1.0, -0.5, 0.25])
 
 
 def test_a_whitener_of_one_that_rounding_made_indefinite_is_triangular_and_that_of_the_nearest() -> None:
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
-    whitener = definite.whitener((turn * [1.0, 4.0, -1e-17]) @ turn.T)
+    whitener = spd.whitener((turn * [1.0, 4.0, -1e-17]) @ turn.T)
     assert whitener[np.tril_indices(3, -1)] == pytest.approx(0.0, abs=1e-6)
     large, *found = np.linalg.svd(whitener, compute_uv=False)
     assert found == pytest.approx([1.0, 0.5], rel=1e-6)
     assert 1e7 < large < np.inf
-    assert definite.whitener(np.zeros((0, 0))).shape == (0, 0)
+    assert spd.whitener(np.zeros((0, 0))).shape == (0, 0)

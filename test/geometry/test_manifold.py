@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.geometry import spd, symmetric
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
@@ -56,7 +56,7 @@ def test_exp_log_and_geodesics_of_a_link_are_pyriemanns() -> None:
     a, b = bodies.spd(np.random.default_rng(1), 2)
     base, other = Point(a[None], np.zeros(0), np.zeros(0)), Point(b[None], np.zeros(0), np.zeros(0))
     tangent = LINK.log(base, other)
-    velocity = spd.congruence(base.root[0], symmetric.to_matrix(tangent))
+    velocity = spd.congruence(base.root[0], spd.to_matrix(tangent))
     size = np.max(np.abs(b))
     np.testing.assert_allclose(velocity, tangent_space.log_map_riemann(b, a, C12=True), rtol=0, atol=ROUNDING * size)
     for share in (0.3, 1.0):
@@ -165,7 +165,7 @@ def test_a_straight_line_bends_where_it_would_leave_the_cone(share: float) -> No
     turned, _ = np.linalg.qr(rng.normal(size=(3, 4, 4)))
     values = np.array([[-share, 0.2, 0.1, 0.4], [-0.2, 0.1, 0.1, -0.1], [3.0, 1.0, 0.5, 0.1]])
     changes = turned @ (values[:, :, None] * turned.swapaxes(1, 2))
-    tangent = np.concatenate([symmetric.to_vector(changes).ravel(), [-share, 0.3], [-3.0, 0.5]])
+    tangent = np.concatenate([spd.to_vector(changes).ravel(), [-share, 0.3], [-3.0, 0.5]])
     end = ALL.straight(base, tangent)
     left = 1.0 - share if share < 0.5 else max(0.5 * np.exp(1.0 - 2.0 * share), 0.05)
     factors = 1.0 + values

@@ -8,7 +8,7 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geomid_ros.geometry import pseudo_inertia, spd, symmetric
+from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.types import FloatArray
 
 from . import bodies
@@ -60,7 +60,7 @@ def test_it_agrees_with_pyriemann() -> None:
 def half_squared_along(base: FloatArray, other: FloatArray, direction: FloatArray, t: float) -> float:
     """d^2/2 to ``other`` at time t of the geodesic from ``base`` whose whitened velocity is ``direction (10,)``."""
     root = scipy.linalg.sqrtm(base)
-    moved = spd.congruence(root, spd.sym_exp(t * symmetric.to_matrix(direction)))
+    moved = spd.congruence(root, spd.sym_exp(t * spd.to_matrix(direction)))
     return 0.5 * float(spd.distance(moved, other)) ** 2
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from geomid_ros.live.pace import Pace
+from geomid_ros.live.solver import Pace
 
 
 def test_an_estimate_is_worth_making_while_much_is_new() -> None:

@@ -10,9 +10,9 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import identified_effect
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.moving_base import Contact, Legs
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray

@@ -8,7 +8,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model import se3
-from geomid_ros.model.imu import Imu, ImuMount
+from geomid_ros.model.moving_base import Imu, ImuMount
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray

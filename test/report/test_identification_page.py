@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 from files.estimates import estimate_of, link_estimate
 
-from geomid_ros.estimation.estimate import EffectEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate
 from geomid_ros.estimation.suggested_motions import FAST, POSES
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.files.models.estimate_file import EstimateFile, RowsEntry, account_entry, estimate_document
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report.result_pages import write_identification_page

@@ -16,10 +16,9 @@ from unittest.mock import patch
 _context = get_context("forkserver")
 _context.set_forkserver_preload(
     [
-        "geomid_ros.commands.root",
+        "geomid_ros.commands",
         "geomid_ros.commands.recording_results",
         "geomid_ros.ros.excite.run",
-        "geomid_ros.ros.live_run",
         "geomid_ros.ros.node",
         "geomid_ros.ros.player",
     ]

@@ -19,8 +19,7 @@ import geomid_ros
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.ros import relay
-from geomid_ros.ros.action_relay import ActionRelay, Filled
-from geomid_ros.ros.excite.controller import message_of
+from geomid_ros.ros.controller import ActionRelay, Filled, message_of
 
 from .actions import Client, FollowJointTrajectory, ended
 from .stage import Stage

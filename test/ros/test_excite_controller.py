@@ -10,7 +10,7 @@ import pytest
 from rclpy.action import client as rclpy_client
 
 from geomid_ros.excitation.motion import Trajectory
-from geomid_ros.ros.excite.controller import ActionController, TopicController, find_controller, message_of
+from geomid_ros.ros.controller import ActionController, TopicController, find_controller, message_of
 
 from .actions import Client, FollowJointTrajectory, ended
 from .stage import Stage

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmarks.trajectory_controller import GONE, STRONG
-from geomid_ros.excitation.motion_monitor import MotionMonitor
+from geomid_ros.excitation.limits import MotionMonitor
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.ros.excite.run import MotionRequest, prepared_run

@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 import geomid_ros
 from geomid_ros.excitation.motion import Trajectory
-from geomid_ros.ros.excite.controller import message_of
+from geomid_ros.ros.controller import message_of
 
 from .stage import Stage
 

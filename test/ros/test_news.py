@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from files.recordings import BAGS
 
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.live.status import Status
 from geomid_ros.ros import console as module
 from geomid_ros.ros.console import AGAIN, Console, StatusEvents

@@ -16,7 +16,7 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live.effort_predictor import EffortPredictor
 from geomid_ros.live.inbox import Received
 from geomid_ros.ros.node import GeomidNode
-from geomid_ros.ros.streaming import Streaming
+from geomid_ros.ros.outputs import Streaming
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES

@@ -25,7 +25,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.decoding import Decoder
+from geomid_ros.signals.messages import Decoder
 
 from .stage import NO_CHOICE, messages
 from .waiting import PATIENCE, final_estimate, wait_until

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from estimation.arms import Motion, efforts, motion, samples, shipped, truth
 
-from geomid_ros.exports.weighed_payload import identify_payload_at
+from geomid_ros.exports.payload import identify_payload_at
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.searches import look_for_gap
 from geomid_ros.model.robot import Robot

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from files.recordings import BAGS, TYPES, recorded
 
-from geomid_ros.signals import decoding
-from geomid_ros.signals.decoding import Decoder, Raw
+from geomid_ros.signals import messages as module
 from geomid_ros.signals.message_batch import imu_readings
-from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Block, message_type, parse
+from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Block, Decoder, Raw, message_type, parse
 
 NAMES = {"/joint_states": JOINT_STATES, "/wrench": "/wrench"}
 ITEMS = [item for item in recorded(BAGS / "arm3")[:200] if item.topic in NAMES]
@@ -181,9 +180,9 @@ def test_as_many_layouts_are_remembered_as_are_needed_and_no_more() -> None:
 
 def test_messages_are_read_by_what_there_is_where_rosbags_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
-    monkeypatch.setattr(decoding, "_without_rosbags", [])
+    monkeypatch.setattr(module, "_without_rosbags", [])
     own = object()
     with pytest.raises(ModuleNotFoundError):
-        decoding.message_types.__wrapped__()
-    decoding.read_without_rosbags(own)
-    assert decoding.message_types.__wrapped__() is own
+        module.message_types.__wrapped__()
+    module.read_without_rosbags(own)
+    assert module.message_types.__wrapped__() is own

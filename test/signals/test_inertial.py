@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.model.imu import ImuMount
+from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import IMU
 from geomid_ros.signals.moving_base import GRAVITY_REMOVED, IN_G, NO_SPECIFIC_FORCE

@@ -7,8 +7,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.controller import PDController
-from geomid_ros.signals.decoding import message_types
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, message_type, parse
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, message_type, message_types, parse
 from geomid_ros.signals.unitree import LOW_CMD, LOW_STATE, UnitreeMessages
 
 from .unitree import low_cmd, low_state

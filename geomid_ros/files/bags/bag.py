@@ -21,7 +21,7 @@ from geomid_ros.files.bags.database import Database
 from geomid_ros.files.bags.mcap import McapFile
 from geomid_ros.files.bags.storage import METHODS, RawMessage, Storage, decompress_file, decompress_message
 from geomid_ros.files.parameter_file import read_yaml
-from geomid_ros.signals.decoding import message_types
+from geomid_ros.signals.messages import message_types
 
 _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Database}
 _SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's storage identifier

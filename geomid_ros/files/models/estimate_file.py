@@ -21,9 +21,9 @@ from geomid_ros.estimation.estimate import (
     Estimate,
     LinkEstimate,
     LinksInformation,
+    UncertainInertia,
     WeighedEstimate,
 )
-from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.files.models.effects_file import (
     check_quantity,
     coefficient_entry,

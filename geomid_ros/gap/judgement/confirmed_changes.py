@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
+from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPrior, EffectTerm
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.records import Records, TotalModel
-from geomid_ros.gap.judgement import quantities
 from geomid_ros.gap.judgement.verdict import probability_by_size, widened_by_remainder, with_given_stds
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
-from geomid_ros.geometry.definite import Packed
+from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.inference.probability import probability_of_square
@@ -194,7 +194,7 @@ def _with_ordinary(
 
 def _known(model: MeasurementModel, joint_fit: EffectsFit, candidate: Candidate) -> KnownEffect:
     """Effect in the form of files."""
-    parameters = quantities.parameters(model, joint_fit, candidate)
+    parameters = library.parameters(model, joint_fit, candidate)
     return KnownEffect(candidate.name, model.places.name(candidate.place), "", parameters)
 
 
@@ -215,11 +215,11 @@ def _findings_as_written(
         if finding.confidence != "confident":
             yield finding
         elif candidate in joint_fit.chosen:
-            parameters = quantities.parameters(model, joint_fit, candidate, usual_load=analysis.usual_load(candidate))
+            parameters = library.parameters(model, joint_fit, candidate, usual_load=analysis.usual_load(candidate))
             widened = widened_by_remainder(analysis, candidate, parameters, finding.was)
             sized = {**finding.parameters, **candidate.effect.sizes(widened)}
             listed = analysis.search.prior.identified and finding.moment  # in a URDF the links' are as uncertain
-            moment = quantities.first_moment(joint_fit, candidate) if listed else {}
+            moment = library.first_moment(joint_fit, candidate) if listed else {}
             probability = min(finding.probability, probability_by_size(candidate, moment or parameters, finding.was))
             yield replace(finding, parameters=sized, moment=moment, probability=probability)
         else:

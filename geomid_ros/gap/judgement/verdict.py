@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from geomid_ros.estimation.estimate import is_significant
+from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import ODDS, Candidate, EffectsFit, EffectsPrior
-from geomid_ros.gap.judgement import quantities
 from geomid_ros.gap.judgement.held_out import HeldOut, strongest
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import fit, scattered
@@ -38,10 +38,10 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
     joint, link = model.places.name(candidate.place), model.places.link(candidate.place)
     load = analysis.usual_load(candidate)
-    parameters = quantities.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
-    was = quantities.known_before(model, search.prior, candidate, load)
+    parameters = library.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
+    was = library.known_before(model, search.prior, candidate, load)
     parameters = widened_by_remainder(analysis, candidate, parameters, was)
-    moment = quantities.first_moment(sized, candidate)
+    moment = library.first_moment(sized, candidate)
     if not any(map(_is_significant, moment.values())) or _is_significant(parameters["mass"]):
         moment = {}
     unsure = confidence_of(support.probability) != "confident"
@@ -57,7 +57,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         loss=support.loss,
         share=_share(analysis, candidate),
         was=was,
-        settled_by=quantities.settled_by(candidate.effect, joint, close) if unsure else "",
+        settled_by=library.settled_by(candidate.effect, joint, close) if unsure else "",
         moment=moment,
     )
 
@@ -182,7 +182,7 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
         std = np.hypot(stds[10 * link : 10 * link + 10], doubt * change)
         deviations, moment, centre = (change / std)[:1], {}, {}
         if is_changed_link and abs(deviations[0]) < np.max(np.abs(change / std)[1:4]):
-            deviations, moment = (change / std)[1:4], quantities.moment_of(change[1:4], std[1:4])
+            deviations, moment = (change / std)[1:4], library.moment_of(change[1:4], std[1:4])
         if search.prior.identified and not moment:
             rows = slice(10 * link, 10 * link + 4)
             centre = _centre(change, covariance[rows, rows])

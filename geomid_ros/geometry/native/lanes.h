@@ -2,7 +2,7 @@
  *
  * Each entry of the eight matrices is stored side by side (in lanes), and nothing branches. So the compiler vectorises
  * each operation over eight numbers, ten times as fast as one LAPACK call each. The ten entries of a matrix are in the
- * order of symmetric.py: diagonal, then upper triangle row by row. Coordinates have a factor sqrt(2) off the diagonal.
+ * order of spd.py: diagonal, then upper triangle row by row. Coordinates have a factor sqrt(2) off the diagonal.
  */
 #ifndef GEOMID_LANES_H
 #define GEOMID_LANES_H

@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import String
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.excitation.motion_monitor import JointState
+from geomid_ros.excitation.limits import JointState
 from geomid_ros.live.inbox import MOST_AT_ONCE
 from geomid_ros.live.threads import start_daemon
 from geomid_ros.ros.outputs import latched

@@ -14,10 +14,10 @@ from rclpy.node import Node
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.approach import ApproachPath, stopping_accelerations, stopping_trajectory, trajectory_through
+from geomid_ros.excitation.limits import JointState, MotionMonitor, RobotLimits, check_motion
 from geomid_ros.excitation.motion import Trajectory
-from geomid_ros.excitation.motion_monitor import JointState, MotionMonitor, RobotLimits, check_motion
 from geomid_ros.model.robot import Robot
-from geomid_ros.ros.excite.controller import TrajectoryController, find_controller
+from geomid_ros.ros.controller import TrajectoryController, find_controller
 from geomid_ros.ros.excite.robot_monitor import Recorder, RobotMonitor
 from geomid_ros.ros.startup import PATIENCE, running_node
 from geomid_ros.session.collision_scene import (

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from geomid_ros.live.dashboard_state import Diagnosis, state_of
+from geomid_ros.live.dashboard import Diagnosis, state_of
 
 LINK = {"mass": "2", "mass std": "0.1", "from data": "0.5", "merged": "tool", "not identifiable": "com x"}
 STREAM = {

@@ -7,7 +7,7 @@ import io
 from pathlib import Path
 from typing import Any
 
-from geomid_ros.files.models.tables import csv_text, tables, write_tables
+from geomid_ros.api.rebuild import csv_text, tables, write_tables
 
 EVIL = 'a "link", with; commas\nand lines'
 LINK = {
