@@ -67,6 +67,7 @@ def test_rows_are_of_driven_places_alone() -> None:
     ("level", "smoothing", "excess", "speed", "made_up", "falls"),
     [
         (1.0, 0.003, 0.3, SPEED, 0.0, True),
+        (1.0, 0.003, 0.19, SPEED, 0.0, False),
         (1.0, 0.02, 3.0, SPEED, 0.0, True),
         (0.6, 0.003, 0.4, SPEED, 0.5, False),
         (5.0, 0.06, 1.0, 0.06, 0.0, False),
@@ -75,7 +76,15 @@ def test_rows_are_of_driven_places_alone() -> None:
 def test_stribeck_friction_is_friction_that_falls(
     level: float, smoothing: float, excess: float, speed: float, made_up: float, falls: bool
 ) -> None:
-    """Its excess may make up for friction that sets in with speed, or for another shape near rest: then it is none."""
+    """Its excess may make up for friction that sets in with speed, or for another shape near rest: then it is none.
+    Nor is one that is smaller than the drift of the dry friction."""
     own = StribeckFriction(speed)
     dry = {CoulombFriction(smoothing): level, own: excess, SaturatingFriction(0.15): made_up}
     assert own.is_supported({**dry, ViscousFriction(): 9.0}) == falls
+
+
+@pytest.mark.parametrize(("level", "is_supported"), [(0.21, True), (0.19, False)])
+def test_friction_that_levels_off_exceeds_the_drift_of_dry_friction(level: float, is_supported: bool) -> None:
+    """A smaller one may be another shape of the dry friction."""
+    own = SaturatingFriction(1.2)
+    assert own.is_supported({CoulombFriction(0.003): 1.0, ViscousFriction(): 9.0, own: level}) == is_supported

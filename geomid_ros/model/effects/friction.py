@@ -98,6 +98,13 @@ def dry_friction(beside: Mapping[Effect, float]) -> FloatArray:
     return np.asarray(np.sum([zeros, *dry], axis=0))
 
 
+def exceeds_drift(effect: Effect, beside: Mapping[Effect, float]) -> bool:
+    """True if an effect of a joint is larger than the drift of the dry friction that the others there make. A smaller
+    one cannot be told from a change of these with speed and heat, or from another shape of theirs."""
+    others = {other: coefficient for other, coefficient in beside.items() if other != effect}
+    return beside[effect] > FRICTION_DRIFT * float(np.max(dry_friction(others)))
+
+
 @dataclass(frozen=True)
 class StribeckFriction(JointEffect):
     """Dry friction that is larger at slow motion: effort ``sign(v) (level + excess exp(-(v / v_s)^2))``, where v_s is
@@ -151,10 +158,11 @@ class StribeckFriction(JointEffect):
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
 
     def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
-        """True if dry friction falls with speed by more than half of the excess. Otherwise the excess only reshapes
-        friction near rest, or compensates another friction."""
-        friction = dry_friction(effects_at_place)
-        return bool(np.max(np.maximum.accumulate(friction) - friction) > 0.5 * effects_at_place[self])
+        """True if it exceeds the drift, and dry friction falls with speed by more than half of the excess. Otherwise
+        the excess only reshapes friction near rest, or compensates another friction."""
+        friction, excess = dry_friction(effects_at_place), effects_at_place[self]
+        falls = bool(np.max(np.maximum.accumulate(friction) - friction) > 0.5 * excess)
+        return falls and exceeds_drift(self, effects_at_place)
 
     def column(self, motion: JointMotion) -> FloatArray:
         return CoulombFriction(self.smoothing).column(motion) * np.exp(-((motion.velocity / self.speed) ** 2))
@@ -246,6 +254,10 @@ class SaturatingFriction(JointEffect):
     @classmethod
     def coarse_grid(cls) -> tuple[Effect, ...]:
         return tuple(cls(speed) for speed in SETTING_IN)
+
+    def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
+        """True if it exceeds the drift."""
+        return exceeds_drift(self, effects_at_place)
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.tanh(motion.velocity / self.speed)
