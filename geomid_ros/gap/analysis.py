@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, EffectsFit, EffectsPrior, EffectsSearch
+from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, EffectsFit, EffectsPrior, EffectsSearch, Shapes
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
@@ -34,7 +35,7 @@ _WHITENINGS = 4  # rounds that whiten by the noise of the last remainder
 class Analysis:
     """Result of the search: the last ``problem`` and ``search``; the fit with the named ``effects`` and the one without
     (``inertias_only``); the evidence that ``supports`` each likely name; each channel's noise std, ``floor (C,)``, from
-    repeats of a motion if any; ``contested``: the odds that a link other than the named one has changed."""
+    repeats of a motion if any; ``shapes`` of effects, as given; ``contested``: the odds that a link other than the named one has changed."""
 
     problem: LinearisedProblem
     search: EffectsSearch
@@ -42,6 +43,7 @@ class Analysis:
     effects: EffectsFit
     supports: dict[Candidate, Support[Candidate]]
     floor: FloatArray
+    shapes: Shapes
     contested: float = 0.0
 
     def usual_load(self, candidate: Candidate) -> float:
@@ -57,7 +59,7 @@ class Analysis:
 @dataclass(frozen=True, eq=False)
 class _Task:
     """Input of the search: ``model``, ``records``, the candidates to be ``tried``, ``links`` that may have changed, the
-    ``known_remainder`` and a ``progress`` callback. The ``inner`` links of a URDF may be wrong as well as loaded."""
+    ``known_remainder``, known ``shapes`` and a ``progress`` callback. The ``inner`` links of a URDF may be wrong as well as loaded."""
 
     model: MeasurementModel
     records: Records
@@ -65,6 +67,7 @@ class _Task:
     links: Sequence[int]
     inner: Collection[int]
     known_remainder: KnownRemainder | None
+    shapes: Shapes
     progress: Progress
 
     def linearised(self, total: TotalModel, floor: FloatArray | None = None) -> LinearisedProblem:
@@ -78,21 +81,29 @@ def analyse(
     prior: EffectsPrior,
     progress: Progress,
     known_remainder: KnownRemainder | None = None,
+    shapes: Shapes = MappingProxyType({}),
 ) -> Analysis:
-    """Find the set of named effects that explains the records best, and the changed links given these.
+    """Find the set of named effects that explains the records best, and the changed links given these. Effects of known
+    ``shapes`` have these.
 
     A payload hangs at the end of a limb, or lies on a moving base. A mass gained by another link of an identified model
     is reported as a changed link: a payload on the axis of a last joint would else fit the link before as well. On
     another link of a URDF it may as well be an error of the URDF.
     """
     candidates = _identifiable(
-        library.candidates(model, prior.terms, unknown_joints=not prior.identified), records.moving
+        library.candidates(model, prior.terms, unknown_joints=not prior.identified, shapes=shapes), records.moving
     )
     links = [c.payload for c in candidates if c.payload is not None]
     inner = {c.payload for c in candidates if c.payload is not None and c.joint is not None} - _ends(model, links)
     if prior.other_recordings is not None:
         candidates, inner = [c for c in candidates if c.payload not in inner], set()
-    task = _Task(model, records, candidates, links, inner=inner, known_remainder=known_remainder, progress=progress)
+    task = _Task(
+        *(model, records, candidates, links),
+        inner=inner,
+        known_remainder=known_remainder,
+        shapes=shapes,
+        progress=progress,
+    )
     return _with_changed_link(task, _searched(task, prior, "searching"))
 
 
@@ -180,6 +191,7 @@ def _searched(task: _Task, prior: EffectsPrior, stage: str) -> Analysis:
         effects=names,
         supports=supports,
         floor=noise_by_repeats(task.model, task.records).floor(noise),
+        shapes=task.shapes,
     )
 
 

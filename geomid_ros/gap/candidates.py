@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
@@ -41,6 +42,10 @@ CLEARLY = 12.0
 """Difference of minus twice a logarithm that occurs by chance once in four hundred."""
 _EXACT = 1e-5  # standard deviation of a sum fixed at zero, relative to the friction: far less than that of any rows
 _OF_COUPLED = 0.05  # fraction of the odds, for coupled joints: most joints have separate motors
+
+
+Shapes: TypeAlias = Mapping[tuple[str, Place], Effect]
+"""Effects whose constants are known, by name and place."""
 
 
 def library_columns(model: MeasurementModel) -> tuple[Column, ...]:
@@ -178,10 +183,15 @@ EffectsSearch: TypeAlias = Selection[Candidate, EffectTerm]
 
 
 def candidates(
-    model: MeasurementModel, known: Collection[EffectTerm] = (), *, unknown_joints: bool = True
+    model: MeasurementModel,
+    known: Collection[EffectTerm] = (),
+    *,
+    unknown_joints: bool = True,
+    shapes: Shapes = MappingProxyType({}),
 ) -> list[Candidate]:
     """Return all candidates for a robot with its sensors, and the changes of ``known`` effects, which keep their
-    constants. ``unknown_joints``: True if nothing is known of its joints, so that they may well have default effects.
+    constants, as do those of known ``shapes``. ``unknown_joints``: True if nothing is known of its joints, so that
+    they may well have default effects.
     The ground loads the joints of a legged robot, too: effects that depend on more than the load are omitted there."""
     has = {(term.effect.name, term.place) for term in known}
     changes = [
@@ -193,7 +203,7 @@ def candidates(
         for cls in EFFECTS.values()
         for effect in cls.grid()
         for place in model.places.of(effect)
-        if (effect.name, place) not in has
+        if (effect.name, place) not in has and shapes.get((effect.name, place), effect) == effect
     ]
     if model.legs:
         result = [c for c in result if isinstance(c.effect, LoadEffect) or not isinstance(c.effect, SituationEffect)]

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import chain
 from time import perf_counter
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap.analysis import analyse, known_remainder
-from geomid_ros.gap.candidates import Candidate, EffectsPrior, EffectTerm, passivity_constraints
+from geomid_ros.gap.candidates import Candidate, EffectsPrior, EffectTerm, Shapes, passivity_constraints
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records
@@ -54,6 +55,7 @@ def find_gap(
     previous: OtherRecordings | None = None,
     other_effects: Sequence[KnownEffect] = (),
     known_remainder: KnownRemainder | None = None,
+    shapes: Shapes = MappingProxyType({}),
     simulated: Sequence[Samples] = (),
     progress: Progress = silent,
 ) -> GapResult:
@@ -81,6 +83,8 @@ def find_gap(
             these and all of the model's coefficients.
         other_effects: the model's effects that are not coefficients, because they depend on its prediction of a motion.
         known_remainder: the model's remainder on its own data, which is no change; see :func:`remainder_of_model`.
+        shapes: default effects that are known to have these constants: as ``identify`` finds them, from rest and
+            reversals, too.
         simulated: recordings of the user's simulator under the same commands, in the same form; what they show as well
             as ``train`` is no gap.
         progress: called with the present stage and the finished fraction, 0 to 1.
@@ -103,7 +107,7 @@ def find_gap(
     prior = _with_least_stds(bare, records, prior)
     if simulated:
         prior, known_remainder = _as_simulated(bare, Records.make(simulated, cutoff), prior, progress), None
-    analysis = analyse(bare, records, prior, progress, known_remainder)
+    analysis = analyse(bare, records, prior, progress, known_remainder, shapes)
     progress("judging", 0.0)
     links = changed_links(bare, analysis)
     named = findings(bare, analysis)

@@ -22,11 +22,12 @@ from geomid_ros.files.models.posterior import (
     read_posterior,
     read_remainder,
 )
-from geomid_ros.gap.candidates import library_columns
+from geomid_ros.gap.candidates import Shapes, library_columns
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, find_gap, remainder_of_model, residual_rms
 from geomid_ros.inference.prior import OtherRecordings
+from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent
@@ -34,7 +35,7 @@ from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import HELD_OUT, Bags, read_samples, samples_of_messages, split_held_out
 from geomid_ros.session.session import Session, document
-from geomid_ros.session.training import check_measured
+from geomid_ros.session.training import Training, check_measured
 from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
@@ -139,9 +140,23 @@ def find_gap_in_samples(
         previous=information,
         other_effects=session.loaded.situational_effects,
         known_remainder=known_remainder,
+        shapes=_default_effects(session, recordings) if session.prior is None else {},
         simulated=recordings.simulated,
         progress=progress,
     )
+
+
+def _default_effects(session: Session, recordings: GapSamples) -> Shapes:
+    """Default effects in the shapes that ``identify`` finds in the recordings to fit."""
+    given = {"effects": list(DEFAULT_EFFECTS), "candidates": list(DEFAULT_CANDIDATES), "filter.cutoff": recordings.cutoff}
+    usual = Session(session.urdf, session.configuration.with_values(given), session.robot.name)
+    training = Training(usual)
+    for samples in recordings.train:
+        training.add(samples)
+    coefficients = usual.model.coefficients
+    values = usual.identifier.solve().parameters[-len(coefficients) :]
+    found = [coefficient for coefficient, value in zip(coefficients, values, strict=True) if value]
+    return {(c.effect.name, c.place): c.effect for c in found if c.effect.name in DEFAULT_EFFECTS}
 
 
 def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatArray]:

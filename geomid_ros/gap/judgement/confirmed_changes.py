@@ -140,7 +140,9 @@ class _Refit:
         """Ordinary effects of all joints and sensors, if nothing is known of them."""
         if self.analysis.search.prior.identified or self.analysis.search.prior.terms:
             return []
-        ordinary = [Candidate.of(effect, place) for effect in _ORDINARY for place in self.model.places.of(effect)]
+        pairs = [(effect, place) for effect in _ORDINARY for place in self.model.places.of(effect)]
+        shapes = self.analysis.shapes
+        ordinary = [Candidate.of(shapes.get((effect.name, place), effect), place) for effect, place in pairs]
         return [c for c in ordinary if not any(c.excludes(other) for other in sure)]
 
     def _fit(
