@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -35,7 +35,8 @@ _WHITENINGS = 4  # rounds that whiten by the noise of the last remainder
 class Analysis:
     """Result of the search: the last ``problem`` and ``search``; the fit with the named ``effects`` and the one without
     (``inertias_only``); the evidence that ``supports`` each likely name; each channel's noise std, ``floor (C,)``, from
-    repeats of a motion if any; ``shapes`` of effects, as given; ``contested``: the odds that a link other than the named one has changed."""
+    repeats of a motion if any; ``shapes`` of effects, as given; ``contested``: the odds that a link other than the
+    named one has changed."""
 
     problem: LinearisedProblem
     search: EffectsSearch
@@ -43,7 +44,7 @@ class Analysis:
     effects: EffectsFit
     supports: dict[Candidate, Support[Candidate]]
     floor: FloatArray
-    shapes: Shapes
+    shapes: Shapes = field(default_factory=dict)
     contested: float = 0.0
 
     def usual_load(self, candidate: Candidate) -> float:
@@ -59,7 +60,8 @@ class Analysis:
 @dataclass(frozen=True, eq=False)
 class _Task:
     """Input of the search: ``model``, ``records``, the candidates to be ``tried``, ``links`` that may have changed, the
-    ``known_remainder``, known ``shapes`` and a ``progress`` callback. The ``inner`` links of a URDF may be wrong as well as loaded."""
+    ``known_remainder``, known ``shapes`` and a ``progress`` callback. The ``inner`` links of a URDF may be wrong as
+    well as loaded."""
 
     model: MeasurementModel
     records: Records

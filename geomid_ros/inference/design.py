@@ -100,13 +100,13 @@ class ChannelRows:
 @dataclass(frozen=True, eq=False)
 class RemainderFit:
     """Remainder of a channel: ``coefficients (m,)`` of the given features, the ``triangle (m, m)`` T with their
-    covariance ``T'T``, the fraction of the residual's squares that each block ``explained (blocks,)``, and the
-    effective number of parameters, ``freedom``. ``power`` is its sum of squares; given other recordings, that of the
-    new part if this is less."""
+    covariance ``T'T``, the fraction of the residual's squares that it ``explained``, and the effective number of
+    parameters, ``freedom``. ``power`` is its sum of squares; given other recordings, that of the new part if this is
+    less."""
 
     coefficients: FloatArray
     triangle: FloatArray
-    explained: FloatArray
+    explained: float
     power: float
     freedom: float
 
@@ -241,17 +241,24 @@ class Design:
             squared, whitener = channel.remainder.squared, marginal.whitener
             white = whitener @ (channel.remainder.crossed @ vector)
             mean = -white @ whitener
-            by_block = np.where(
-                channel.block[:, None] == np.arange(len(channel.remainder.default_variances)), mean[:, None], 0.0
-            )
-            explained = np.sum(by_block * (squared @ by_block), axis=0)
+            explained = float(mean @ squared @ mean) / max(square, 1e-300)
             freedom = float(np.sum((whitener @ squared) * whitener))
             totals = [mean] if channel.prior_mean is None else [mean, mean + channel.prior_mean]
             power = min(float(total @ squared @ total) for total in totals)
             noise = max(square - float(white @ white), 0.0) / max(channel.count, 1)
             triangle = np.sqrt(noise) * channel.scale * whitener
-            lacks.append(RemainderFit(channel.scale * mean, triangle, explained / max(square, 1e-300), power, freedom))
+            lacks.append(RemainderFit(channel.scale * mean, triangle, explained, power, freedom))
         return lacks
+
+    def gains_of_features(
+        self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray, place: int, names: Sequence[str]
+    ) -> dict[str, float]:
+        """Gain of twice the log likelihood of channel number ``place`` at ``parameters (D,)`` by the features of each
+        name alone, as its only remainder; ``names``: of the blocks of features."""
+        remainder, named = self.channels[place].remainder, np.array(names)
+        ((vector, square),) = self._residuals(bodies, terms, parameters, [place])
+        of_features = {name: remainder.of_features((named == name)[remainder.block]) for name in dict.fromkeys(names)}
+        return {name: alone.gain(vector, square) for name, alone in of_features.items()}
 
     def powers(self, columns: Hypothesis[Any] | int, values: FloatArray) -> FloatArray:
         """Sums of squares ``(C,)`` that a candidate's or a link's columns add to the channels at ``values (k,)``."""

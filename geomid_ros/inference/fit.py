@@ -115,6 +115,10 @@ class JointFit(Generic[Chosen, Term]):
         """Remainder of each channel at this fit."""
         return design.remainders(self.bodies, self.terms, self.point.parameters)
 
+    def gains_of_features(self, design: Design, place: int, names: Sequence[str]) -> dict[str, float]:
+        """Evidence for the features of each name, see :meth:`Design.gains_of_features`."""
+        return design.gains_of_features(self.bodies, self.terms, self.point.parameters, place, names)
+
     def parameters_by_channel(self, design: Design) -> FloatArray:
         """Effective number of parameters of each channel ``(C,)``: trace of its information times the covariance."""
         products = design.gather(self.bodies, self.terms)

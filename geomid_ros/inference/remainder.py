@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.geometry import spd
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 DEFAULT_VARIANCE = 0.3**2
 """Default prior variance of a block's contribution, in units of the noise variance."""
@@ -111,6 +111,19 @@ class Remainder:
         starts = self._starts if near is None else [(near, self.whitener(near))]
         solutions = [self._from(*start, residual, square) for start in starts]
         return min(solutions, key=lambda solution: solution[0])[1]
+
+    def of_features(self, chosen: BoolArray) -> Remainder:
+        """Return the remainder of the ``chosen (m,)`` features alone, about which other recordings say nothing."""
+        block: IntArray = np.unique(self.block[chosen], return_inverse=True)[1]
+        return Remainder(self.squared[np.ix_(chosen, chosen)], self.crossed[chosen], block, self.count)
+
+    def gain(self, vector: FloatArray, square: float) -> float:
+        """Gain of twice the log likelihood by the features in their most likely variances, for a residual with column
+        weights ``vector (K,)`` and this sum of squares."""
+        if not square > 0.0:
+            return 0.0
+        scores = [self._from(*start, self.crossed @ vector, square)[0] for start in self._starts]
+        return self.count * float(np.log(square)) - min(scores)
 
     @cached_property
     def _starts(self) -> list[tuple[FloatArray, FloatArray]]:

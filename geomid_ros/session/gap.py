@@ -147,14 +147,19 @@ def find_gap_in_samples(
 
 
 def _default_effects(session: Session, recordings: GapSamples) -> Shapes:
-    """Default effects in the shapes that ``identify`` finds in the recordings to fit."""
-    given = {"effects": list(DEFAULT_EFFECTS), "candidates": list(DEFAULT_CANDIDATES), "filter.cutoff": recordings.cutoff}
-    usual = Session(session.urdf, session.configuration.with_values(given), session.robot.name)
+    """Default effects in the shapes that ``identify`` finds in the recordings to fit; none if these do not suffice."""
+    effects = {"effects": list(DEFAULT_EFFECTS), "candidates": list(DEFAULT_CANDIDATES)}
+    given = session.configuration.with_values({**effects, "filter.cutoff": recordings.cutoff})
+    usual = Session(session.urdf, given, session.robot.name)
     training = Training(usual)
     for samples in recordings.train:
         training.add(samples)
+    try:
+        estimate = usual.identifier.solve()
+    except InputError:  # the workflow says better what is missing
+        return {}
     coefficients = usual.model.coefficients
-    values = usual.identifier.solve().parameters[-len(coefficients) :]
+    values = estimate.parameters[usual.model.dimension - len(coefficients) :]
     found = [coefficient for coefficient, value in zip(coefficients, values, strict=True) if value]
     return {(c.effect.name, c.place): c.effect for c in found if c.effect.name in DEFAULT_EFFECTS}
 

@@ -107,6 +107,16 @@ def test_the_written_model_leaves_what_the_table_says(
     np.testing.assert_allclose(left * gains, said, rtol=0.02)
 
 
+def test_dry_friction_has_the_shape_that_identify_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rest and reversals say how sharply it changes its sign; the workflow itself uses motion alone."""
+    undrawn(monkeypatch)
+    given = BAGS / "arm3", BAGS / "arm3.urdf"
+    identified = {e.joint: e.parameters for e in geomid_ros.identify(*given).effects if e.name == "coulomb_friction"}
+    named = {f.joint: f.parameters for f in geomid_ros.find_gap(*given).findings if f.effect == "coulomb_friction"}
+    for joint, parameters in identified.items():
+        assert named[joint]["smoothing"].value == parameters["smoothing"].value
+
+
 @pytest.fixture(scope="module")
 def identified(recordings: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files of an identification from the first motion. A URDF holds no rotor inertia: its links have another."""

@@ -124,7 +124,7 @@ def test_a_change_beside_it_that_has_no_name_is_left_where_it_is() -> None:
     effort = samples.effort.copy()
     effort[:, -1] += 0.5 * COGGING * np.sin(9.0 * samples.position[:, -1])
     found = find_gap(MODEL, [replace(samples, effort=effort)], (), nominal=LINKS.ravel(), known_remainder=standing())
-    assert found.verdict == "incomplete"
+    assert found.verdict == "unexplained"
     assert [(left.joint, left.depends_on) for left in found.unexplained] == [(MODEL.robot.joint_names[-1], "position")]
 
 

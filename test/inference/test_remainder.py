@@ -1,6 +1,7 @@
 """A remainder that is integrated out, against the Gaussian likelihood of the rows themselves."""
 
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -163,3 +164,14 @@ def test_products_beside_other_variances_go_with_their_design() -> None:
     assert design.given(design.variances)._marginalised[0] is design._marginalised[0]  # what is at hand is taken over
     del other
     assert products() is None
+
+
+@either
+@pytest.mark.parametrize("block", range(4))
+def test_features_are_the_likelier_the_more_of_the_remainder_they_are(block: int, before: FloatArray | None) -> None:
+    """Whatever other recordings say, and however many features the others have. Noise is none of them."""
+    own, parameters = rows(7, 40.0 * (np.arange(3) == block)), np.array([1.0, 2.0, 3.0])
+    design = Design.of([replace(own, prior_covariance=before)], COLUMNS)
+    gains = list(design.gains_of_features((), (), parameters, 0, ["few", "many", "some"]).values())
+    assert int(np.argmax(gains)) == block or block == 3
+    assert (max(gains) > 0.0) == (block < 3)

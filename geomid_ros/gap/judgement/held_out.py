@@ -62,6 +62,13 @@ class HeldOut:
         before, bare, after = (root_mean_square(trace.measured - each) / self._analysis.floor for each in fits)
         return GapErrors(before, bare, after, self.gap.expected)
 
+    @property
+    def fitted_gap(self) -> FloatArray:
+        """RMS residual ``(C,)`` of the last fit on the data that were fitted, in units of the floor."""
+        problem, names = self._analysis.problem, self._analysis.effects
+        residual = problem.residual(problem.columns(names.chosen, self._analysis.search.prior.terms), names)
+        return root_mean_square(np.where(problem.valid, residual, np.nan)) / self._analysis.floor
+
     @cached_property
     def is_open(self) -> BoolArray:
         """True for the channels ``(C,)`` whose gap exceeds noise and the uncertainty of the fit, both with the known

@@ -22,7 +22,7 @@ from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _NEAR = 20.0  # in minus twice a logarithm: rivals less likely than one in twenty thousand are not reported
-_MOST_OF_IT = 0.5  # fraction of a channel's squares
+_MOST_OF_IT = 0.5  # fraction of a channel's squares, or gap
 
 
 def findings(model: MeasurementModel, analysis: Analysis) -> list[tuple[Candidate, Finding]]:
@@ -119,14 +119,17 @@ def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
 
 def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Unexplained, ...]:
     """Return the channels whose gap on unseen data stays open, and the variable on which the remainder depends: that
-    whose features explain most of it, or else that of a curve of the unseen data."""
-    lacks, result = analysis.effects.remainders(analysis.search.design), []
-    for place in np.flatnonzero(unseen.is_open):
-        explained = lacks[place].explained
-        known = len(explained) and np.max(explained) > _MOST_OF_IT
-        features = analysis.problem.features[place].depends_on
-        variable = features[int(np.argmax(explained))] if known else strongest(unseen.residual_dependences[place])
-        result.append(Unexplained(model.channels[place].name, variable, float(unseen.gap.after[place])))
+    whose features alone are its most likely explanation in the fitted data, or that of a curve of the unseen data if
+    most of the gap is in these only."""
+    design, result = analysis.search.design, []
+    fitted = unseen.fitted_gap
+    for channel in map(int, np.flatnonzero(unseen.is_open)):
+        gap, names = float(unseen.gap.after[channel]), analysis.problem.features[channel].depends_on
+        gains = analysis.effects.gains_of_features(design, channel, names)
+        likely = max(gains, key=lambda name: gains[name])
+        known = gains[likely] > 0.0 and fitted[channel] > _MOST_OF_IT * gap
+        variable = likely if known else strongest(unseen.residual_dependences[channel])
+        result.append(Unexplained(model.channels[channel].name, variable, gap))
     return tuple(result)
 
 
@@ -135,7 +138,7 @@ def verdict(analysis: Analysis, unseen: HeldOut, *, named: bool) -> Verdict:
     that stays open. Channels that were not evaluated may have a gap."""
     if np.any(unseen.is_open):
         lacks = analysis.effects.remainders(analysis.search.design)
-        explained = np.array([np.sum(lack.explained) for lack in lacks])
+        explained = np.array([lack.explained for lack in lacks])
         return "unexplained" if np.any(explained[unseen.is_open] > _MOST_OF_IT) else "incomplete"
     return "named" if named else "incomplete" if np.any(unseen.unjudged) else "no gap"
 
