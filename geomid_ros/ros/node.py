@@ -56,11 +56,8 @@ class GeomidNode(LifecycleNodeMixin, Node):
         Raises:
             InputError: the parameters do not fit.
         """
-        try:
-            with starting_ros():
-                Node.__init__(self, "geomid", automatically_declare_parameters_from_overrides=True)
-        except ValueError as error:
-            raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
+        with starting_ros():
+            Node.__init__(self, "geomid", automatically_declare_parameters_from_overrides=True)
         try:
             self._set_up(solving)
         except BaseException:

@@ -42,6 +42,12 @@ REFUSED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "topic": (sensor(frame="tool", topic="not a topic"), ("not a topic", "Invalid topic")),
     "frame": ({**sensor(frame="hand"), "robot_description": ARM3}, ("unknown link 'hand'", "wrist_ft")),
 }
+# Arguments that are not for ROS, of either program.
+ARGUMENTS = (
+    ("geomid_ros.ros.main", "--params-file x.yaml"),
+    ("geomid_ros.ros.main", "--help"),
+    ("geomid_ros.ros.feedforward", "--model estimate.json"),
+)
 
 
 def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
@@ -50,6 +56,10 @@ def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
     for case, (parameters, _) in REFUSED.items():
         started[case] = stage.node(parameters, ready=False, fresh=not started)
     missing = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", stage.folder / "nowhere.yaml")
+    others = {
+        argument: stage.start(module, *argument.split(), "--ros-args", "-p", "use_sim_time:=false")
+        for module, argument in ARGUMENTS
+    }
     for case, (_, parts) in REFUSED.items():
         process = started[case]
         assert process.status() == 2, f"{case}: {process.output}"
@@ -58,6 +68,9 @@ def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
             assert part in line, f"{case}: {line}"
     assert missing.status() == 2
     assert "nowhere.yaml" in missing.output
+    for argument, process in others.items():
+        assert process.status() == 2, f"{argument}: {process.output}"
+        assert f": {argument}: not an argument of ROS; parameters go behind --ros-args" in process.output
 
 
 def test_a_node_that_is_refused_is_gone_at_once(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
