@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate, pairwise
@@ -38,6 +38,8 @@ from geomid_ros.session.configuration import (
     PARAMETERS,
     Configuration,
     Parameter,
+    Value,
+    checked_values,
     find_parameter,
 )
 from geomid_ros.signals.ledger import Ledger
@@ -45,33 +47,39 @@ from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
 
 def read_parameters(node: Node) -> Configuration:
-    """Read the configuration from a node's parameters, of which only the given ones are declared.
+    """Read the configuration from a node's parameters, as :func:`given_parameters`."""
+    return Configuration(given_parameters(node, {parameter.name: parameter for parameter in PARAMETERS}), "parameters")
+
+
+def given_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, Value]:
+    """Return a node's parameters, of which only the given ones are declared.
 
     Declares every other parameter of the table with its default; sets the description and range of all.
 
     Raises:
         InputError: a name is unknown or a value out of range.
     """
-    given: dict[str, Any] = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
-    configuration = Configuration(given, "parameters")
-    for name in configuration.given_values:
-        node.set_descriptor(name, _descriptor(find_parameter(name)))
-    for parameter in PARAMETERS:
-        if parameter.name not in given and "*" not in parameter.name:
-            node.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
-    return configuration
+    given = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+    values = checked_values(given, table)
+    for name in values:
+        node.set_descriptor(name, descriptor(find_parameter(name, table)))
+    for name, parameter in table.items():
+        if name not in given and "*" not in name:
+            node.declare_parameter(name, parameter.default, descriptor(parameter))
+    return values
 
 
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(
+def descriptor(parameter: Parameter) -> ParameterDescriptor:
+    """Return the description of a parameter for ROS."""
+    described = ParameterDescriptor(
         description=parameter.description,
         additional_constraints=f"may be set {parameter.change}",
         read_only=parameter.change == AT_START,
         dynamic_typing=True,  # accepts an integer for a real number; the table checks types
     )
     if parameter.minimum is not None and parameter.maximum is not None:
-        descriptor.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
-    return descriptor
+        described.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
+    return described
 
 
 _CLASSES = {kind.__name__: kind for kind in (WrenchStamped, Odometry, Imu, JointState)}
