@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate, pairwise
@@ -35,7 +35,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.live.inbox import MOST_AT_ONCE, Received
 from geomid_ros.session.configuration import (
     AT_START,
-    PARAMETERS,
+    BY_NAME,
     Configuration,
     Parameter,
     Value,
@@ -48,7 +48,7 @@ from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
 def read_parameters(node: Node) -> Configuration:
     """Read the configuration from a node's parameters, as :func:`given_parameters`."""
-    return Configuration(given_parameters(node, {parameter.name: parameter for parameter in PARAMETERS}), "parameters")
+    return Configuration(given_parameters(node, BY_NAME), "parameters")
 
 
 def given_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, Value]:
@@ -61,25 +61,29 @@ def given_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, Va
     """
     given = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
     values = checked_values(given, table)
-    for name in values:
-        node.set_descriptor(name, descriptor(find_parameter(name, table)))
+    describe(node, values, table)
     for name, parameter in table.items():
         if name not in given and "*" not in name:
-            node.declare_parameter(name, parameter.default, descriptor(parameter))
+            node.declare_parameter(name, parameter.default, _descriptor(parameter))
     return values
 
 
-def descriptor(parameter: Parameter) -> ParameterDescriptor:
-    """Return the description of a parameter for ROS."""
-    described = ParameterDescriptor(
+def describe(node: Node, names: Iterable[str], table: Mapping[str, Parameter] = BY_NAME) -> None:
+    """Set the description and range of declared parameters."""
+    for name in names:
+        node.set_descriptor(name, _descriptor(find_parameter(name, table)))
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
         description=parameter.description,
         additional_constraints=f"may be set {parameter.change}",
         read_only=parameter.change == AT_START,
         dynamic_typing=True,  # accepts an integer for a real number; the table checks types
     )
     if parameter.minimum is not None and parameter.maximum is not None:
-        described.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
-    return described
+        descriptor.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
+    return descriptor
 
 
 _CLASSES = {kind.__name__: kind for kind in (WrenchStamped, Odometry, Imu, JointState)}

@@ -30,7 +30,7 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
-from geomid_ros.ros.inputs import Inputs, RosTypes, read_parameters
+from geomid_ros.ros.inputs import Inputs, RosTypes, describe, read_parameters
 from geomid_ros.ros.outputs import Outputs, Streaming, latched
 from geomid_ros.ros.startup import starting_ros
 from geomid_ros.session.configuration import AT_ANY_TIME, Configuration, find_parameter
@@ -57,7 +57,13 @@ class GeomidNode(LifecycleNodeMixin, Node):
             InputError: the parameters do not fit.
         """
         with starting_ros():
-            Node.__init__(self, "geomid", automatically_declare_parameters_from_overrides=True)
+            # Undeclared ones are those with a * in the table, and unknown ones, which the callback refuses.
+            Node.__init__(
+                self,
+                "geomid",
+                automatically_declare_parameters_from_overrides=True,
+                allow_undeclared_parameters=True,
+            )
         try:
             self._set_up(solving)
         except BaseException:
@@ -107,6 +113,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
         if not self._active:
             self._console.info("waiting for ~/start, as the parameter active is false")
         self.add_on_set_parameters_callback(self._on_set)
+        self.add_post_set_parameters_callback(self._describe)
         if lifecycle == "none":
             self.activate()
             self.configure()  # last, as a later failure would leave its threads running
@@ -208,6 +215,10 @@ class GeomidNode(LifecycleNodeMixin, Node):
         except GeomidError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _describe(self, parameters: Sequence[RosParameter]) -> None:
+        """Describe parameters that were not declared before they were set."""
+        describe(self, self._configuration.given_values.keys() & {parameter.name for parameter in parameters})
 
     def _use(self, configuration: Configuration) -> None:
         before = self._configuration

@@ -197,10 +197,10 @@ PARAMETERS = (
     _at_start("dashboard", False, "show the node on a local page, as geomid dashboard does"),
     _at_start("output_folder", "", "output folder of ~/save and of the shutdown; empty: the working directory"),
 )
-_BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
 
-def find_parameter(name: str, table: Mapping[str, Parameter] = _BY_NAME) -> Parameter:
+def find_parameter(name: str, table: Mapping[str, Parameter] = BY_NAME) -> Parameter:
     """Find the parameter of a full name. Raises InputError with the valid names for an unknown one."""
     if name in table:
         return table[name]
@@ -212,7 +212,7 @@ def find_parameter(name: str, table: Mapping[str, Parameter] = _BY_NAME) -> Para
     raise unknown_name("parameter", name, table)
 
 
-def checked_values(given: Mapping[str, Any], table: Mapping[str, Parameter] = _BY_NAME) -> dict[str, Value]:
+def checked_values(given: Mapping[str, Any], table: Mapping[str, Parameter] = BY_NAME) -> dict[str, Value]:
     """Return values by full name, without those of ROS. Raises InputError for an unknown name or a wrong value."""
     own = {name: value for name, value in given.items() if not _OF_ROS.fullmatch(name)}
     return {name: find_parameter(name, table).checked(name, value) for name, value in own.items()}
