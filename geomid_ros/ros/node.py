@@ -29,7 +29,7 @@ from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
-from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
+from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.inputs import Inputs, RosTypes, describe, read_parameters
 from geomid_ros.ros.outputs import Outputs, Streaming, latched
 from geomid_ros.ros.startup import starting_ros
@@ -76,8 +76,9 @@ class GeomidNode(LifecycleNodeMixin, Node):
         self._console = Console(self.get_logger())
         self._news = StatusEvents()
         self._active: bool = self._configuration["active"]
-        self._configured = self._subscribed = False
+        self._subscribed = False
         lifecycle = self._configuration["lifecycle"]
+        self._configured = lifecycle == "none"
         if lifecycle != "none":
             LifecycleNodeMixin.__init__(self)
             service = self._service_change_state
@@ -256,7 +257,12 @@ class GeomidNode(LifecycleNodeMixin, Node):
     @property
     def _missing(self) -> str:
         """Reason why there is no worker."""
-        return NO_DESCRIPTION if self._configured else UNCONFIGURED
+        return self._unconfigured or NO_DESCRIPTION
+
+    @property
+    def _unconfigured(self) -> str:
+        """Sentence on the lifecycle state if nothing is configured, else empty."""
+        return "" if self._configured else f"the lifecycle state is {self._state_machine.current_state[1]}"
 
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
@@ -306,7 +312,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
             warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
             failures=self._supervisor.failures.counts,
             accounts=self._ledger.topics,
-            configured=self._configured,
+            unconfigured=self._unconfigured,
         )
 
     def _missing_clock(self) -> list[str]:
@@ -368,12 +374,15 @@ class GeomidNode(LifecycleNodeMixin, Node):
 
     def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
         """Answer that the state does not allow a transition: rclpy raises an error instead of an answer."""
-        try:
+        machine, wanted = self._state_machine, request.transition
+        labels = {number: label for number, label, *_ in machine.available_transitions}
+        if wanted.label in labels.values() or (not wanted.label and wanted.id in labels):
             return change(request, response)
-        except RuntimeError as error:  # raised by rclpy
-            self.fail("a transition failed", error)
-            response.success = False
-            return response
+        names = {number: label for number, label, *_ in machine.transition_graph}
+        name = wanted.label or names.get(wanted.id, f"transition {wanted.id}")
+        self._console.warning(f"{name} is not possible in state {machine.current_state[1]}")
+        response.success = False
+        return response
 
     def _outcome(self, act: Callable[[], None]) -> TransitionCallbackReturn:
         """Act for a transition, and report in the log and the diagnostics why it fails."""
