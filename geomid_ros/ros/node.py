@@ -33,7 +33,7 @@ from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.inputs import Inputs, RosTypes, describe, read_parameters
 from geomid_ros.ros.outputs import Outputs, Streaming, latched
 from geomid_ros.ros.startup import starting_ros
-from geomid_ros.session.configuration import AT_ANY_TIME, Configuration, find_parameter
+from geomid_ros.session.configuration import AT_ANY_TIME, BY_NAME, Configuration, find_parameter
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import read_without_rosbags
 
@@ -222,8 +222,10 @@ class GeomidNode(LifecycleNodeMixin, Node):
         describe(self, self._configuration.given_values.keys() & {parameter.name for parameter in parameters})
 
     def _use(self, configuration: Configuration) -> None:
-        before = self._configuration
-        changed = [name for name, value in configuration.given_values.items() if value != before[name]]
+        before, values = self._configuration, configuration.given_values
+        # Without a value, those of one joint or sensor are not at their default: others count there.
+        was = before.given_values | {name: before[name] for name in values.keys() & BY_NAME.keys()}
+        changed = [name for name, value in values.items() if value != was.get(name)]
         if not changed:
             return
         row_dependent = [name for name in changed if find_parameter(name).change != AT_ANY_TIME]
@@ -235,7 +237,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
             self._begin_with(before, anew=bool(row_dependent))
             raise
         for name in changed:
-            self._console.info(f"{name} is now {configuration[name]}, and was {before[name]}")
+            self._console.info(f"{name} is now {values[name]}, and was {was.get(name, 'not set')}")
 
     def _begin_with(self, configuration: Configuration, *, anew: bool) -> None:
         self._configuration = configuration
