@@ -9,8 +9,9 @@ import sys
 from dataclasses import dataclass
 from importlib.metadata import distribution
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -20,8 +21,8 @@ from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 NAMES = {
-    "launch": ("LaunchDescription",),
-    "launch.actions": ("DeclareLaunchArgument",),
+    "launch": ("LaunchContext", "LaunchDescription"),
+    "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction"),
     "launch.conditions": ("IfCondition",),
     "launch.substitutions": ("Command", "LaunchConfiguration", "NotEqualsSubstitution", "PathJoinSubstitution"),
     "launch_ros": (),
@@ -65,7 +66,9 @@ class Launched:
         assert given.keys() <= self._arguments.keys()
         self._arguments |= given
         self.used: set[str] = set()
-        nodes = [action for action in actions if action.kind == "Node"]
+        context = SimpleNamespace(launch_configurations=self._arguments)
+        functions = [action.named["function"] for action in actions if action.kind == "OpaqueFunction"]
+        nodes = [node for function in functions for node in function(context)]
         self.nodes = {
             node.named["executable"]: {key: self.value(value) for key, value in node.named.items()}
             for node in nodes
@@ -116,7 +119,7 @@ def test_by_default_the_node_alone_is_started(actions: list[Made]) -> None:
     (node,) = Launched(actions).nodes.values()
     assert node["package"] == "geomid_ros"
     assert callable(scripts[node["executable"]].load())
-    assert node["parameters"][1:] == [{"use_sim_time": "false"}, {"lifecycle": "none"}]
+    assert node["parameters"] == [f"{ROOT}/config/geomid.yaml"], "nothing overrides the file"
     assert node["remappings"] == [(topic, topic) for topic in (JOINT_STATES, ODOM, IMU, COMMANDS)]
 
 
@@ -128,10 +131,8 @@ def test_parameter_files_exist(config: str, actions: list[Made]) -> None:
 
 
 def test_a_parameter_file_of_ones_own_wins(actions: list[Made]) -> None:
-    assert (
-        Launched(actions, params_file="mine.yaml", config="ur.yaml").nodes["geomid_node"]["parameters"][0]
-        == "mine.yaml"
-    )
+    started = Launched(actions, params_file="mine.yaml", config="ur.yaml", lifecycle="managed").nodes
+    assert started["geomid_node"]["parameters"] == ["mine.yaml", {"lifecycle": "managed"}]
 
 
 def test_rviz_shows_the_topics_of_the_node_in_its_namespace(actions: list[Made]) -> None:
@@ -162,8 +163,14 @@ def test_all_follow_the_clock_of_a_simulation(actions: list[Made]) -> None:
     assert all({"use_sim_time": "true"} in node["parameters"] for node in started.values())
 
 
+def test_what_it_needs_is_in_the_package_file(actions: list[Made]) -> None:
+    started = Launched(actions, urdf="robot.urdf", rviz="true").nodes.values()
+    needed = {"launch", "launch_ros", "xacro", *(node["package"] for node in started)} - {"geomid_ros"}
+    assert needed <= {entry.text for entry in ElementTree.parse(ROOT / "package.xml").iter("exec_depend")}
+
+
 def test_arguments_are_declared_explained_and_used(actions: list[Made]) -> None:
-    launched = Launched(actions, urdf="robot.urdf", rviz="true")
+    launched = Launched(actions, urdf="robot.urdf", rviz="true", use_sim_time="true", lifecycle="none")
     assert launched.used == launched.declared
     assert launched.declared >= {"config", "params_file", "namespace", "use_sim_time", "rviz", "urdf"}
     explained = [action.named["description"] for action in actions if action.kind == "DeclareLaunchArgument"]

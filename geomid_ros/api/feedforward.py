@@ -101,13 +101,13 @@ def _read(path: Path, topic: str | None) -> Trajectory:
 def robot_to_move(options: FillOptions, model: PathLike | None) -> Session:
     """Return the robot with its model. Raises InputError if there is none, or it is doubtful and not forced."""
     if model is None and options.urdf is None:
-        raise InputError("no robot is given: add --model estimate.json, or --urdf ROBOT.urdf for the URDF alone")
+        raise InputError("no robot is given: give a model (estimate.json), or a urdf for the URDF alone")
     if model is not None:
         _check_model(options, EstimateFile.read(Path(model)))
     robot = description(options, [], model)
     session = Session(robot.text, configuration(options, model, candidates=[]), robot.source)
     if session.loaded.warning and not options.force:
-        raise InputError(f"{session.loaded.warning}; to move a robot by it all the same, add --force")
+        raise InputError(f"{session.loaded.warning}; to move a robot by it all the same, set force")
     return session
 
 
@@ -119,7 +119,7 @@ def _check_model(options: DescriptionOptions, file: EstimateFile) -> None:
             "contain"
         )
     if options.urdf is None and not identified_urdf_path(file.source).is_file():
-        raise InputError(f"{file.source}: identified.urdf is missing in the same folder; add --urdf ROBOT.urdf")
+        raise InputError(f"{file.source}: identified.urdf is missing in the same folder; give the urdf")
 
 
 def _check_limits(trajectory: Trajectory, limits: FloatArray, source: str) -> None:

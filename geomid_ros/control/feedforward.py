@@ -58,8 +58,8 @@ class MotorEfforts:
             if joint not in robot.joint_names:
                 raise InputError(f"{source}: {unknown_name('joint', joint, robot.joint_names)}")
         if missing := [joint for joint in robot.joint_names if joint not in joints]:
-            names = ",".join(missing)
-            raise InputError(f"{source}: does not contain {names}; if they stay at zero, --lock {names}")
+            advice = "if they stay at zero, name them in locked_joints (--lock)"
+            raise InputError(f"{source}: does not contain {','.join(missing)}; {advice}")
         self._robot = robot
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains = gains[self._order]

@@ -72,7 +72,7 @@ class Status:
     - ``payload``: a payload that was picked up.
     - ``gaps``: state of the monitored channels; ``changed_sensors``: topics of wrench sensors that have changed, whose
       rows are left out.
-    - ``configured``: False while a managed node is unconfigured.
+    - ``unconfigured``: why a managed node is not configured, as a sentence; empty if it is.
     """
 
     active: bool
@@ -94,7 +94,7 @@ class Status:
     estimate: Estimate | None = None
     changed_sensors: tuple[str, ...] = ()
     payload: CarriedPayload | None = None
-    configured: bool = True
+    unconfigured: str = ""
 
     def account(self, topic: str) -> Account:
         """Return the account of a topic's messages."""

@@ -145,6 +145,11 @@ def action_name(controller: str) -> str:
     return f"{controller}/follow_joint_trajectory"
 
 
+def nothing(acts: str, name: str) -> str:
+    """Return the reason why a trajectory does not reach the controller: nothing ``acts`` on this name."""
+    return f"nothing {acts} {name}; check that the controller is loaded and active"
+
+
 def follow_joint_trajectory() -> Any:
     """Return the action's type; None if ``control_msgs`` is not installed."""
     try:
@@ -219,7 +224,7 @@ class ActionRelay:
             self._refuse(handle, f"{NOT_SENT}: {error}")
             return
         if not self._client.server_is_ready():
-            self._refuse(handle, f"nothing serves {self._name}; check that the controller is loaded and active")
+            self._refuse(handle, nothing("serves", self._name))
             return
         request.trajectory = filled.message
         answer = self._client.send_goal_async(request, lambda message: handle.publish_feedback(message.feedback))

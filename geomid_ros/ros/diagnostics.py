@@ -25,7 +25,6 @@ from geomid_ros.signals.ledger import Account, meaning_of
 from geomid_ros.signals.messages import JOINT_STATES
 
 STOPPED = "stopped"
-UNCONFIGURED = "the lifecycle state is unconfigured"
 _SIMULATED = 1_000_000_000_000_000_000  # [ns] earlier stamps are of a simulation
 _QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
@@ -247,7 +246,7 @@ def _judgement(status: Status, errors: Sequence[str], warnings: Sequence[str]) -
         level = DiagnosticStatus.ERROR if errors else DiagnosticStatus.WARN
         return level, "; ".join([*errors, *warnings])
     if not status.active:
-        return DiagnosticStatus.OK, STOPPED if status.configured else UNCONFIGURED
+        return DiagnosticStatus.OK, status.unconfigured or STOPPED
     return DiagnosticStatus.OK, "collecting rows" if status.estimate is None else f"{status.rows} rows"
 
 
@@ -272,7 +271,7 @@ def _errors(status: Status, new: Status) -> list[str]:
 def _warnings(status: Status, new: Status) -> list[str]:
     sentences = list(status.warnings)
     if not status.topics:
-        return [*sentences, NO_DESCRIPTION] if status.configured else sentences
+        return sentences if status.unconfigured else [*sentences, NO_DESCRIPTION]
     if not status.active:
         return sentences
     silent = [topic for topic in status.topics if new.account(topic).received == 0]

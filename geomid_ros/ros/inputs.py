@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate, pairwise
@@ -35,9 +35,11 @@ from geomid_ros.errors import InputError
 from geomid_ros.live.inbox import MOST_AT_ONCE, Received
 from geomid_ros.session.configuration import (
     AT_START,
-    PARAMETERS,
+    BY_NAME,
     Configuration,
     Parameter,
+    Value,
+    checked_values,
     find_parameter,
 )
 from geomid_ros.signals.ledger import Ledger
@@ -45,21 +47,31 @@ from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
 
 def read_parameters(node: Node) -> Configuration:
-    """Read the configuration from a node's parameters, of which only the given ones are declared.
+    """Read the configuration from a node's parameters, as :func:`given_parameters`."""
+    return Configuration(given_parameters(node, BY_NAME), "parameters")
+
+
+def given_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, Value]:
+    """Return a node's parameters, of which only the given ones are declared.
 
     Declares every other parameter of the table with its default; sets the description and range of all.
 
     Raises:
         InputError: a name is unknown or a value out of range.
     """
-    given: dict[str, Any] = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
-    configuration = Configuration(given, "parameters")
-    for name in configuration.given_values:
-        node.set_descriptor(name, _descriptor(find_parameter(name)))
-    for parameter in PARAMETERS:
-        if parameter.name not in given and "*" not in parameter.name:
-            node.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
-    return configuration
+    given = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+    values = checked_values(given, table)
+    describe(node, values, table)
+    for name, parameter in table.items():
+        if name not in given and "*" not in name:
+            node.declare_parameter(name, parameter.default, _descriptor(parameter))
+    return values
+
+
+def describe(node: Node, names: Iterable[str], table: Mapping[str, Parameter] = BY_NAME) -> None:
+    """Set the description and range of declared parameters."""
+    for name in names:
+        node.set_descriptor(name, _descriptor(find_parameter(name, table)))
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:

@@ -42,6 +42,9 @@ def run_program(name: str, run: Callable[[], None]) -> None:
     try:
         check_memory()
         load_hashes()
+        from geomid_ros.ros.startup import check_arguments  # noqa: PLC0415
+
+        check_arguments()
         run()
     except GeomidError as error:
         print(f"{name}: {error}", file=sys.stderr)

@@ -29,11 +29,11 @@ from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
-from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
-from geomid_ros.ros.inputs import Inputs, RosTypes, read_parameters
+from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
+from geomid_ros.ros.inputs import Inputs, RosTypes, describe, read_parameters
 from geomid_ros.ros.outputs import Outputs, Streaming, latched
 from geomid_ros.ros.startup import starting_ros
-from geomid_ros.session.configuration import AT_ANY_TIME, Configuration, find_parameter
+from geomid_ros.session.configuration import AT_ANY_TIME, BY_NAME, Configuration, find_parameter
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import read_without_rosbags
 
@@ -56,11 +56,14 @@ class GeomidNode(LifecycleNodeMixin, Node):
         Raises:
             InputError: the parameters do not fit.
         """
-        try:
-            with starting_ros():
-                Node.__init__(self, "geomid", automatically_declare_parameters_from_overrides=True)
-        except ValueError as error:
-            raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
+        with starting_ros():
+            # Undeclared ones are those with a * in the table, and unknown ones, which the callback refuses.
+            Node.__init__(
+                self,
+                "geomid",
+                automatically_declare_parameters_from_overrides=True,
+                allow_undeclared_parameters=True,
+            )
         try:
             self._set_up(solving)
         except BaseException:
@@ -73,8 +76,9 @@ class GeomidNode(LifecycleNodeMixin, Node):
         self._console = Console(self.get_logger())
         self._news = StatusEvents()
         self._active: bool = self._configuration["active"]
-        self._configured = self._subscribed = False
+        self._subscribed = False
         lifecycle = self._configuration["lifecycle"]
+        self._configured = lifecycle == "none"
         if lifecycle != "none":
             LifecycleNodeMixin.__init__(self)
             service = self._service_change_state
@@ -110,6 +114,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
         if not self._active:
             self._console.info("waiting for ~/start, as the parameter active is false")
         self.add_on_set_parameters_callback(self._on_set)
+        self.add_post_set_parameters_callback(self._describe)
         if lifecycle == "none":
             self.activate()
             self.configure()  # last, as a later failure would leave its threads running
@@ -212,9 +217,15 @@ class GeomidNode(LifecycleNodeMixin, Node):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
+    def _describe(self, parameters: Sequence[RosParameter]) -> None:
+        """Describe parameters that were not declared before they were set."""
+        describe(self, self._configuration.given_values.keys() & {parameter.name for parameter in parameters})
+
     def _use(self, configuration: Configuration) -> None:
-        before = self._configuration
-        changed = [name for name, value in configuration.given_values.items() if value != before[name]]
+        before, values = self._configuration, configuration.given_values
+        # Without a value, those of one joint or sensor are not at their default: others count there.
+        was = before.given_values | {name: before[name] for name in values.keys() & BY_NAME.keys()}
+        changed = [name for name, value in values.items() if value != was.get(name)]
         if not changed:
             return
         row_dependent = [name for name in changed if find_parameter(name).change != AT_ANY_TIME]
@@ -226,7 +237,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
             self._begin_with(before, anew=bool(row_dependent))
             raise
         for name in changed:
-            self._console.info(f"{name} is now {configuration[name]}, and was {before[name]}")
+            self._console.info(f"{name} is now {values[name]}, and was {was.get(name, 'not set')}")
 
     def _begin_with(self, configuration: Configuration, *, anew: bool) -> None:
         self._configuration = configuration
@@ -248,7 +259,12 @@ class GeomidNode(LifecycleNodeMixin, Node):
     @property
     def _missing(self) -> str:
         """Reason why there is no worker."""
-        return NO_DESCRIPTION if self._configured else UNCONFIGURED
+        return self._unconfigured or NO_DESCRIPTION
+
+    @property
+    def _unconfigured(self) -> str:
+        """Sentence on the lifecycle state if nothing is configured, else empty."""
+        return "" if self._configured else f"the lifecycle state is {self._state_machine.current_state[1]}"
 
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
@@ -298,7 +314,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
             warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
             failures=self._supervisor.failures.counts,
             accounts=self._ledger.topics,
-            configured=self._configured,
+            unconfigured=self._unconfigured,
         )
 
     def _missing_clock(self) -> list[str]:
@@ -360,12 +376,15 @@ class GeomidNode(LifecycleNodeMixin, Node):
 
     def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
         """Answer that the state does not allow a transition: rclpy raises an error instead of an answer."""
-        try:
+        machine, wanted = self._state_machine, request.transition
+        labels = {number: label for number, label, *_ in machine.available_transitions}
+        if wanted.label in labels.values() or (not wanted.label and wanted.id in labels):
             return change(request, response)
-        except RuntimeError as error:  # raised by rclpy
-            self.fail("a transition failed", error)
-            response.success = False
-            return response
+        names = {number: label for number, label, *_ in machine.transition_graph}
+        name = wanted.label or names.get(wanted.id, f"transition {wanted.id}")
+        self._console.warning(f"{name} is not possible in state {machine.current_state[1]}")
+        response.success = False
+        return response
 
     def _outcome(self, act: Callable[[], None]) -> TransitionCallbackReturn:
         """Act for a transition, and report in the log and the diagnostics why it fails."""

@@ -6,13 +6,14 @@ Natural adaptation: receives joint states, publishes the link's inertia and corr
 from __future__ import annotations
 
 import json
-import math
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
-from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -28,9 +29,11 @@ from geomid_ros.errors import GeomidError, InputError, one_line
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.trajectories import trajectory_of
 from geomid_ros.model.effects import EFFECTS
-from geomid_ros.ros.controller import NOT_SENT, ActionRelay, Filled, follow_joint_trajectory, message_of
+from geomid_ros.ros.controller import NOT_SENT, ActionRelay, Filled, follow_joint_trajectory, message_of, nothing
 from geomid_ros.ros.diagnostics import status_message
+from geomid_ros.ros.inputs import given_parameters
 from geomid_ros.ros.outputs import inertia_message, ros_time
+from geomid_ros.session.configuration import AT_START, Parameter
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -177,7 +180,19 @@ class AdaptationNode:
 
 
 _IN = "~/joint_trajectory"
-_CONTROLLER = "/joint_trajectory_controller"
+_at_start = partial(Parameter, change=AT_START)
+_PARAMETERS = (
+    _at_start("model", "", "estimate.json of the robot, which is read again when it has changed"),
+    _at_start("urdf", "", "robot description; empty: identified.urdf in the folder of the model"),
+    _at_start("config", "", "parameter file of the identification node, for effort gains and locked joints"),
+    _at_start("controller", "joint_trajectory_controller", "name of the controller"),
+    _at_start(
+        "tolerance", FillOptions.tolerance, "largest error of interpolated efforts, as a share of the largest", 0.0, 1.0
+    ),
+    _at_start("force", FillOptions.force, "take a model whose verdict is not 'usable', too"),
+    _at_start("link", "", "link that adapts to a payload; empty: the last one"),
+    _at_start("heaviest_payload", 0.0, "largest payload that a link adapts to [kg]; 0: no adaptation", 0.0, 1e6),
+)
 
 
 class FeedforwardRelay:
@@ -186,9 +201,8 @@ class FeedforwardRelay:
     It does the same for goals of ``~/follow_joint_trajectory`` (:class:`~geomid_ros.ros.controller.ActionRelay`) if
     ``control_msgs`` is installed.
 
-    Parameters of its node: ``model`` (an estimate.json, which is read again after a change), ``urdf``, ``config``,
-    ``tolerance`` and ``force``, as of :func:`geomid_ros.feedforward`; ``controller``. Refused trajectories are not sent
-    on. With ``heaviest_payload`` [kg] a ``link`` adapts to a payload (:class:`~geomid_ros.ros.relay.AdaptationNode`).
+    Its node declares the parameters that it was given. Refused trajectories are not sent on. With ``heaviest_payload``
+    a ``link`` adapts to a payload (:class:`~geomid_ros.ros.relay.AdaptationNode`).
     """
 
     def __init__(self, node: Node) -> None:
@@ -196,28 +210,27 @@ class FeedforwardRelay:
         self._log = node.get_logger()
         try:
             self._set_up(node)
-        except (ParameterException, NameValidationException) as error:
+        except NameValidationException as error:
             raise InputError(" ".join(str(error).split())) from error
 
     def _set_up(self, node: Node) -> None:
-        self._model, urdf, config, controller = (
-            str(node.declare_parameter(name, default).value)
-            for name, default in (("model", ""), ("urdf", ""), ("config", ""), ("controller", _CONTROLLER))
+        table = {parameter.name: parameter for parameter in _PARAMETERS}
+        values: dict[str, Any] = {name: parameter.default for name, parameter in table.items()}
+        values |= given_parameters(node, table)
+        self._model, controller, heaviest = values["model"], values["controller"], values["heaviest_payload"]
+        self._options = FillOptions(
+            values["urdf"] or None,
+            config=values["config"] or None,
+            tolerance=values["tolerance"],
+            force=values["force"],
         )
-        tolerance = float(node.declare_parameter("tolerance", FillOptions.tolerance).value)
-        force = bool(node.declare_parameter("force", FillOptions.force).value)
-        self._options = FillOptions(urdf or None, config=config or None, tolerance=tolerance, force=force)
         self._read_at = self._changed_at()
         self._session = self._read()
         self._publisher = node.create_publisher(JointTrajectory, f"{controller}/joint_trajectory", 10)
         node.create_subscription(JointTrajectory, _IN, self._relay, 10)
         if (action := follow_joint_trajectory()) is not None:
             ActionRelay(node, controller, action, self._fill, self._follow)
-        link = str(node.declare_parameter("link", "").value)
-        heaviest = float(node.declare_parameter("heaviest_payload", 0.0).value)
-        if not 0.0 <= heaviest < math.inf:
-            raise InputError(f"heaviest_payload is {heaviest:g}, expected a mass in kg, or 0 for no adaptation")
-        self._adapting = AdaptationNode(node, self._session, link, heaviest) if heaviest else None
+        self._adapting = AdaptationNode(node, self._session, values["link"], heaviest) if heaviest else None
         self._log.info(f"fills the efforts of {node.resolve_topic_name(_IN)} for {self._publisher.topic_name}")
 
     def _changed_at(self) -> int:
@@ -234,6 +247,9 @@ class FeedforwardRelay:
             filled = self._fill(message)
         except GeomidError as error:
             self._log.error(f"{NOT_SENT}: {error}")
+            return
+        if not self._publisher.get_subscription_count():
+            self._log.error(f"{NOT_SENT}: {nothing('subscribes to', self._publisher.topic_name)}")
             return
         self._publisher.publish(filled.message)
         self._follow(filled)
@@ -253,11 +269,12 @@ class FeedforwardRelay:
         )
         answer = message_of(result.trajectory)
         answer.header = message.header
-        self._log.info(f"{len(message.points)} points are sent on with efforts, as {len(answer.points)}")
         return Filled(answer, result.trajectory)
 
     def _follow(self, filled: Filled) -> None:
-        """Adapt while the controller follows this trajectory."""
+        """Adapt while the controller follows this trajectory, which it was sent."""
+        if filled.trajectory is not None:
+            self._log.info(f"a trajectory is sent on with efforts, of {len(filled.message.points)} points")
         if self._adapting is not None:
             stamp = filled.message.header.stamp
             self._adapting.follow(filled.trajectory, stamp.sec + 1e-9 * stamp.nanosec)

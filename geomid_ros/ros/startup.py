@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import try_shutdown
+from rclpy.utilities import remove_ros_args, try_shutdown
 
 from geomid_ros.errors import InputError
 
@@ -34,6 +35,19 @@ def starting_ros() -> Iterator[None]:
     except RuntimeError as error:  # raised by rclpy
         reason = " ".join(str(error).split())
         raise InputError(f"ROS cannot start with these arguments and variables ({reason}){_security()}") from error
+    except ValueError as error:
+        raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
+
+
+def check_arguments() -> None:
+    """Raise InputError for arguments of this process that ROS would ignore."""
+    with starting_ros():
+        others = remove_ros_args(sys.argv)[1:]
+    if others:
+        raise InputError(
+            f"{' '.join(others)}: not an argument of ROS; parameters go behind --ros-args, as -p NAME:=VALUE or "
+            "--params-file FILE (docs/pages/reference.md)"
+        )
 
 
 @contextmanager

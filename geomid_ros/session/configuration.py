@@ -5,6 +5,7 @@ The node declares them, the command line reads the same YAML file, and ``make do
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -53,13 +54,46 @@ class Parameter:
     defines_rows: bool = True
     change: str = "without rows"
 
+    def checked(self, name: str, value: Any) -> Value:
+        """Return a value of this parameter, whose full name is ``name``. Raises InputError if it does not fit."""
+        if isinstance(self.default, float):
+            value = _real(value)
+        if isinstance(self.default, list):
+            value = _checked_list(name, value, type(self.default[0]))
+        elif type(value) is not type(self.default):
+            raise InputError(f"{name} is {value!r}, expected {_KINDS[type(self.default)]}")
+        if self.choices and value not in self.choices:
+            raise unknown_name(f"value of {name}", value, self.choices)
+        if isinstance(value, float):
+            low, high = self.minimum, self.maximum
+            if not np.isfinite(value) or (low is not None and value < low) or (high is not None and value > high):
+                raise InputError(f"{name} is {value:g}, expected a number from {low:g} to {high:g}")
+        checked: Value = value
+        return checked
+
+
+def _checked_list(name: str, value: Any, kind: type) -> list[Any]:
+    entries = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+    if kind is float:
+        entries = [_real(entry) for entry in entries]
+    valid = all(isinstance(entry, kind) for entry in entries)
+    if not valid or (kind is float and not np.all(np.isfinite(entries))):
+        expected = "finite numbers" if kind is float else "texts"
+        raise InputError(f"{name} is {value!r}, expected a list of {expected}")
+    return [entry for entry in entries if entry != ""]
+
+
+def _real(value: Any) -> Any:
+    """Convert an integer to a real number; return any other value unchanged."""
+    return float(value) if type(value) is int and abs(value) < 2**63 else value
+
 
 # ROS cannot tell the type of an empty list: one empty string stands for it.
 _NONE = [""]
 _SIDES = ("motor", "link")
 _ALIKE = ("urdf", "none")
-# Prefixes of the parameters that ROS gives every node; they are not checked here.
-_OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+# Parameters that ROS gives every node; they are not checked here.
+_OF_ROS = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..+")
 _OF_SENSOR = ("topic", "frame", "frame_id", "role", "axes", "sign")  # each is wrench.*.KEY in the table
 _not_of_rows = partial(Parameter, defines_rows=False)
 AT_START, AT_ANY_TIME = "at the start", "at any time"
@@ -163,24 +197,25 @@ PARAMETERS = (
     _at_start("dashboard", False, "show the node on a local page, as geomid dashboard does"),
     _at_start("output_folder", "", "output folder of ~/save and of the shutdown; empty: the working directory"),
 )
-_BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
 
-def find_parameter(name: str) -> Parameter:
+def find_parameter(name: str, table: Mapping[str, Parameter] = BY_NAME) -> Parameter:
     """Find the parameter of a full name. Raises InputError with the valid names for an unknown one."""
-    if name in _BY_NAME:
-        return _BY_NAME[name]
+    if name in table:
+        return table[name]
     first, _, rest = name.partition(".")
-    for parameter in PARAMETERS:
+    for parameter in table.values():
         head, star, tail = parameter.name.partition(".*")
         if star and first == head and rest.endswith(tail) and len(rest) > len(tail):
             return parameter
-    raise unknown_name("parameter", name, _BY_NAME)
+    raise unknown_name("parameter", name, table)
 
 
-def _real(value: Any) -> Any:
-    """Convert an integer to a real number; return any other value unchanged."""
-    return float(value) if type(value) is int and abs(value) < 2**63 else value
+def checked_values(given: Mapping[str, Any], table: Mapping[str, Parameter] = BY_NAME) -> dict[str, Value]:
+    """Return values by full name, without those of ROS. Raises InputError for an unknown name or a wrong value."""
+    own = {name: value for name, value in given.items() if not _OF_ROS.fullmatch(name)}
+    return {name: find_parameter(name, table).checked(name, value) for name, value in own.items()}
 
 
 class Configuration:
@@ -197,8 +232,7 @@ class Configuration:
             InputError: a parameter is unknown or has a wrong value; ``source`` and the key are named.
         """
         self.source = source
-        given = {name: value for name, value in (values or {}).items() if not name.startswith(_OF_ROS)}
-        self._values = {name: self._checked(name, value) for name, value in given.items()}
+        self._values = self.naming_source("", partial(checked_values, values or {}))
         _ = self.effects, self.candidates, self.sensors, self.contacts, self.gains
         _ = self.gravity, self.buffer, self.signals(()), self._estimator({})
 
@@ -223,34 +257,6 @@ class Configuration:
     def given_values(self) -> dict[str, Value]:
         """Values that were given, by full name."""
         return dict(self._values)
-
-    def _checked(self, name: str, value: Any) -> Value:
-        parameter = self.naming_source("", lambda: find_parameter(name))
-        default = parameter.default
-        if isinstance(default, float):
-            value = _real(value)
-        if isinstance(default, list):
-            value = self._checked_list(name, value, type(default[0]))
-        elif type(value) is not type(default):
-            raise InputError(f"{self.source}: {name} is {value!r}, expected {_KINDS[type(default)]}")
-        if parameter.choices and value not in parameter.choices:
-            raise InputError(f"{self.source}: {unknown_name(f'value of {name}', value, parameter.choices)}")
-        if isinstance(value, float):
-            low, high = parameter.minimum, parameter.maximum
-            if not np.isfinite(value) or (low is not None and value < low) or (high is not None and value > high):
-                raise InputError(f"{self.source}: {name} is {value:g}, expected a number from {low:g} to {high:g}")
-        checked: Value = value
-        return checked
-
-    def _checked_list(self, name: str, value: Any, kind: type) -> list[Any]:
-        entries = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
-        if kind is float:
-            entries = [_real(entry) for entry in entries]
-        valid = all(isinstance(entry, kind) for entry in entries)
-        if not valid or (kind is float and not np.all(np.isfinite(entries))):
-            expected = "finite numbers" if kind is float else "texts"
-            raise InputError(f"{self.source}: {name} is {value!r}, expected a list of {expected}")
-        return [entry for entry in entries if entry != ""]
 
     def __getitem__(self, name: str) -> Any:
         """The value of a parameter."""

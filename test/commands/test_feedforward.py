@@ -46,7 +46,7 @@ def test_a_doubtful_model_moves_a_robot_only_by_force(model: Path, tmp_path: Pat
     arguments = ("feedforward", sent(tmp_path), "--model", doubtful, "--urdf", URDF, "--out", tmp_path / "out.yaml")
     message = refused(*arguments)
     assert "joint2 seems to be reversed" in message
-    assert "add --force" in message
+    assert "set force" in message
     assert not (tmp_path / "out.yaml").exists()
     assert "Note: " in done(*arguments, "--force")
 

@@ -143,10 +143,10 @@ REFUSED = {
     "a joint is missing": (
         lambda t: Trajectory(JOINTS[:2], t.times, t.positions[:, :2], t.velocities[:, :2], t.accelerations[:, :2]),
         {},
-        "does not contain joint3; if they stay at zero, --lock joint3",
+        "does not contain joint3; if they stay at zero, name them in locked_joints",
     ),
     "too fast": (lambda t: t.at_speed(40.0), {}, r"joint 'joint\d' would need .* % more than its limit"),
-    "no robot": (lambda t: t, {"urdf": None}, "no robot is given: add --model"),
+    "no robot": (lambda t: t, {"urdf": None}, "no robot is given: give a model"),
     "too long": (lambda t: t.at_speed(1e-3), {}, "takes 4000 s, expected at most 600 s"),
     "tolerance": (lambda t: t, {"tolerance": 0.0}, "tolerance is 0, expected 0 < tolerance < 1"),
 }
@@ -190,7 +190,7 @@ def test_a_robot_on_its_legs_and_efforts_that_cannot_be_predicted_are_refused(tm
     with pytest.raises(InputError, match=r"legs\.json: floating base: leg efforts"):
         geomid_ros.feedforward(motion(), tmp_path / "legs.json", force=True)
     (tmp_path / "identified.urdf").unlink()
-    with pytest.raises(InputError, match=r"estimate\.json: identified\.urdf is missing in the same folder; add --urdf"):
+    with pytest.raises(InputError, match=r"estimate\.json: identified\.urdf is missing .*; give the urdf"):
         geomid_ros.feedforward(motion(), estimate, force=True)
     sensors = ("/tip:tool:external:fx,fy,fz", "/wrench:wrist_ft:mounted")
     with pytest.raises(InputError, match="efforts cannot be predicted"):

@@ -224,7 +224,12 @@ def test_the_relay_fills_goals_as_it_does_what_comes_on_the_topic(
     monkeypatch.setitem(sys.modules, "control_msgs.action", actions)
     monkeypatch.setattr(relay, "ActionRelay", lambda *arguments: made.append(arguments))
     overrides = [Parameter("model", value=str(model)), Parameter("controller", value="/arm")]
-    node = Node("filling", context=stage.observer.node.context, parameter_overrides=overrides)
+    node = Node(
+        "filling",
+        context=stage.observer.node.context,
+        parameter_overrides=overrides,
+        automatically_declare_parameters_from_overrides=True,
+    )
     try:
         relay.FeedforwardRelay(node)
         ((own, controller, action, fill, _),) = made

@@ -166,7 +166,7 @@ def test_it_ends_where_something_else_has_changed(stage: Stage, relay: Process) 
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"heaviest_payload": float("nan")}, "heaviest_payload is nan, expected a mass"),
+        ({"heaviest_payload": float("nan")}, "heaviest_payload is nan, expected a number from 0"),
         ({"link": "hand"}, "unknown link 'hand'"),
     ],
 )

@@ -9,16 +9,19 @@ import numpy as np
 import pytest
 from excitation.motions import lively
 from files.recordings import BAGS
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter as RosParameter
 from trajectory_msgs.msg import JointTrajectory
 
 import geomid_ros
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.ros.controller import message_of
 
+from .observer import MATCHING
 from .stage import Stage
 
 JOINTS = ("joint1", "joint2", "joint3")
-OUT = "/arm_controller/joint_trajectory"
+OUT = "/left/joint_trajectory_controller/joint_trajectory"
 
 
 @pytest.fixture(scope="module")
@@ -33,16 +36,22 @@ def motion(joints: tuple[str, ...] = JOINTS, duration: float = 4.0) -> Trajector
 
 
 def test_trajectories_go_on_with_efforts_or_not_at_all(stage: Stage, model: Path) -> None:
-    """One of another robot and one that is too fast are said, and the next one goes on; a model that has changed counts
-    from then on."""
+    """One of another robot, one that is too fast and one that no controller would hear are said, and the next one goes
+    on, to the controller of the same namespace; a model that has changed counts from then on."""
     observer = stage.observer
-    parameters = {"model": str(model), "controller": "/arm_controller"}
-    relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
-    sent = observer.node.create_publisher(JointTrajectory, "/geomid_feedforward/joint_trajectory", 10)
-    heard = observer.collect(JointTrajectory, OUT)
+    parameters = {"model": str(model), "heaviest_payload": 2}
+    relay = stage.node(parameters, "-r", "__ns:=/left", module="geomid_ros.ros.feedforward", ready=False)
+    sent = observer.node.create_publisher(JointTrajectory, "/left/geomid_feedforward/joint_trajectory", 10)
     observer.wait_for(lambda: sent.get_subscription_count() > 0, "the relay")
-    for refused in (motion(("a", "b", "c")), motion(duration=0.05)):
+    for refused in (motion(("a", "b", "c")), motion(duration=0.05), motion()):
         sent.publish(message_of(refused))
+    observer.wait_for(lambda: f"nothing subscribes to {OUT}" in relay.output, "a refusal")
+    assert "sent on with efforts" not in relay.output
+    heard = observer.collect(JointTrajectory, OUT)
+    observer.spin(MATCHING)
+    request = SetParameters.Request(parameters=[RosParameter("tolerance", value=0.1).to_parameter_msg()])
+    (answer,) = observer.call(SetParameters, "/left/geomid_feedforward/set_parameters", request).results
+    assert "read-only" in answer.reason
     message = message_of(motion())
     message.header.frame_id = "kept"
     sent.publish(message)
@@ -69,9 +78,11 @@ def test_trajectories_go_on_with_efforts_or_not_at_all(stage: Stage, model: Path
 
 REFUSED = {
     "no robot": ({}, "no robot is given"),
-    "type": ({"tolerance": 1}, "tolerance"),
-    "tolerance": ({"tolerance": 2.0}, "tolerance is 2, expected 0 < tolerance < 1"),
+    "type": ({"tolerance": "x"}, "tolerance is 'x', expected a number"),
+    "tolerance": ({"tolerance": 0}, "tolerance is 0, expected 0 < tolerance < 1"),
     "name": ({"urdf": str(BAGS / "arm3.urdf"), "controller": "bad-name"}, "bad-name"),
+    "misspelt": ({"heaviest_paylod": 2.0}, "Did you mean 'heaviest_payload'"),
+    "empty list": ({"model": []}, "a parameter has no value"),
 }
 
 

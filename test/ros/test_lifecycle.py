@@ -90,17 +90,24 @@ def restored_and_shut_down(stage: Stage, process: Process, out: Path) -> None:
     assert changed(stage, Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert state(stage) == "finalized"
     assert json.loads((out / "estimate.json").read_text())["rows"]["accepted"] >= before
+    finalized = "the lifecycle state is finalized"
+    stage.observer.diagnostics(lambda _, status: status.message == finalized, "the state")
+    assert stage.observer.trigger("/geomid/save") == (False, finalized)
     assert process.end() == 0
 
 
 def test_autostart(stage: Stage) -> None:
     """It works without a manager, and a description that cannot be used leaves it to one."""
-    stage.node({**MANAGED, "lifecycle": "autostart", "robot_description": ARM3})
+    process = stage.node({**MANAGED, "lifecycle": "autostart", "robot_description": ARM3})
     assert state(stage) == "active"
     stage.observer.publish(MESSAGES[:FEW], KINDS)
     stage.fed({"joint_states": FEW // 2, "/wrench": FEW // 2})
     assert not changed(stage, Transition.TRANSITION_CONFIGURE), "the state has no such transition"
-    stage.observer.diagnostics(lambda values, _: any("transition failed" in key for key in values), "the refusal")
+    assert "[WARN]" in process.output
+    assert "configure is not possible in state active" in process.output
+    array = stage.observer.diagnostics(lambda _, status: "no messages" in status.message, "a later state")
+    assert not [key for key in values_of(array) if "failed" in key]
+    assert "rcl" not in process.output
     assert state(stage) == "active"
     process = stage.node(
         {**MANAGED, "lifecycle": "autostart", "robot_description": "<robot"}, "-r", "__ns:=/bad", name="bad/geomid"

@@ -11,8 +11,8 @@ import pytest
 import rclpy
 from files.recordings import BAGS
 from numpy.typing import NDArray
-from rcl_interfaces.msg import ParameterValue
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.signals import SignalHandlerOptions
 from signals.feeding import completed
@@ -42,6 +42,12 @@ REFUSED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "topic": (sensor(frame="tool", topic="not a topic"), ("not a topic", "Invalid topic")),
     "frame": ({**sensor(frame="hand"), "robot_description": ARM3}, ("unknown link 'hand'", "wrist_ft")),
 }
+# Arguments that are not for ROS, of either program.
+ARGUMENTS = (
+    ("geomid_ros.ros.main", "--params-file x.yaml"),
+    ("geomid_ros.ros.main", "--help"),
+    ("geomid_ros.ros.feedforward", "--model estimate.json"),
+)
 
 
 def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
@@ -50,6 +56,10 @@ def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
     for case, (parameters, _) in REFUSED.items():
         started[case] = stage.node(parameters, ready=False, fresh=not started)
     missing = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", stage.folder / "nowhere.yaml")
+    others = {
+        argument: stage.start(module, *argument.split(), "--ros-args", "-p", "use_sim_time:=false")
+        for module, argument in ARGUMENTS
+    }
     for case, (_, parts) in REFUSED.items():
         process = started[case]
         assert process.status() == 2, f"{case}: {process.output}"
@@ -58,6 +68,9 @@ def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
             assert part in line, f"{case}: {line}"
     assert missing.status() == 2
     assert "nowhere.yaml" in missing.output
+    for argument, process in others.items():
+        assert process.status() == 2, f"{argument}: {process.output}"
+        assert f": {argument}: not an argument of ROS; parameters go behind --ros-args" in process.output
 
 
 def test_a_node_that_is_refused_is_gone_at_once(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,25 +130,31 @@ def get(stage: Stage, names: list[str], namespace: str = "") -> list[ParameterVa
     return list(stage.observer.call(GetParameters, f"{namespace}/geomid/get_parameters", request).values)
 
 
+def described(stage: Stage, names: list[str]) -> list[ParameterDescriptor]:
+    request = DescribeParameters.Request(names=names)
+    return list(stage.observer.call(DescribeParameters, "/geomid/describe_parameters", request).descriptors)
+
+
 def test_parameters_are_described(stage: Stage) -> None:
     """Every one of the table, with its range; integers serve as real numbers."""
     stage.node({"gamma": 1, "joint": {"joint1": {"effort_gain": 2}}, "sigma": {"joint1": 0.5}})
     listed = stage.observer.call(ListParameters, "/geomid/list_parameters", ListParameters.Request()).result.names
     names = [parameter.name for parameter in SINGLE]
     assert set(names) | {"joint.joint1.effort_gain", "sigma.joint1"} <= set(listed)
-    request = DescribeParameters.Request(names=names)
-    answers = stage.observer.call(DescribeParameters, "/geomid/describe_parameters", request).descriptors
-    for parameter, answer in zip(SINGLE, answers, strict=True):
+    for parameter, answer in zip(SINGLE, described(stage, names), strict=True):
         assert answer.description == parameter.description
         assert answer.read_only == (parameter.change == AT_START)
         assert parameter.change in answer.additional_constraints
         ranges = [(entry.from_value, entry.to_value) for entry in answer.floating_point_range]
         assert ranges == ([] if parameter.minimum is None else [(parameter.minimum, parameter.maximum)])
-    request = DescribeParameters.Request(names=["joint.joint1.effort_gain", "sigma.joint1"])
-    answers = stage.observer.call(DescribeParameters, "/geomid/describe_parameters", request).descriptors
+    answers = described(stage, ["joint.joint1.effort_gain", "sigma.joint1"])
     assert [bool(answer.description and answer.floating_point_range) for answer in answers] == [True, True]
     (gamma,) = get(stage, ["gamma"])
     assert gamma.integer_value == 1
+    wrenches, frame = RosParameter("wrenches", value=["ft"]), RosParameter("wrench.ft.frame", value="tool")
+    assert "wrench.ft.frame is not given" in change(stage, "wrenches", ["ft"])
+    both = SetParametersAtomically.Request(parameters=[wrenches.to_parameter_msg(), frame.to_parameter_msg()])
+    assert stage.observer.call(SetParametersAtomically, "/geomid/set_parameters_atomically", both).result.successful
 
 
 def change(stage: Stage, name: str, value: str | float | bool | list[str]) -> str:
@@ -187,19 +206,22 @@ def test_what_rows_depend_on_changes_after_stop_and_reset(stage: Stage, out: Pat
     assert "read-only" in change(stage, "dashboard", value=True)
     assert stage.observer.trigger("/geomid/stop")[0]
     assert "read-only" in change(stage, "effort_gain", 2.0), "there are rows"
+    assert "read-only" in change(stage, "joint.joint1.effort_gain", 2.0), "there are rows"
+    assert "Did you mean 'effort_gain'" in change(stage, "efort_gain", 2.0)
     assert stage.observer.trigger("/geomid/reset")[0]
     stage.observer.diagnostics(lambda values, _: values["rows made"] == "0", "no rows")
     assert "unknown link 'hand'" in change(stage, "wrench.wrist.frame", "hand")
     assert get(stage, ["wrench.wrist.frame"])[0].string_value == "wrist_ft"
-    assert change(stage, "effort_gain", 2.0) == ""
+    assert "expected a number from" in change(stage, "joint.joint1.effort_gain", 1e7)
+    gains = {"effort_gain": 2.0, "joint.joint1.effort_gain": 1.0}  # as its default, and unlike the others
+    assert [change(stage, name, gain) for name, gain in gains.items()] == ["", ""]
+    assert described(stage, ["joint.joint1.effort_gain"])[0].floating_point_range
     assert stage.observer.trigger("/geomid/start")[0]
     stage.observer.publish(HALF, KINDS)
     stage.fed({"joint_states": len(HALF)})
     success, message = stage.observer.trigger("/geomid/save")
     assert success, message
-    configuration = Configuration(
-        {"effort_gain": 2.0, "gamma": 0.01, "candidates": [], "wrenches": ["wrist"], **FLAT_WRIST}
-    )
+    configuration = Configuration({**gains, "gamma": 0.01, "candidates": [], "wrenches": ["wrist"], **FLAT_WRIST})
     twin = Session(ARM3, configuration, "arm3")
     for samples in completed(twin.pipeline, (item.parsed for item in HALF)):
         twin.identifier.add(samples)
