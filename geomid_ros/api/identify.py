@@ -130,7 +130,7 @@ class Identification:
 
     @property
     def rms_nominal(self) -> dict[str, float]:
-        """Residual RMS of the URDF by channel [N m, N], with its inertias and no effects."""
+        """Residual RMS of the URDF by channel [N m, N], with its inertias and the friction in its ``<dynamics>``."""
         return self._by_channel(self._rms_on_judged[:, 0])
 
     @property
@@ -143,7 +143,7 @@ class Identification:
         """Residual RMS of the URDF and of the estimate ``(channels, 2)``."""
         if not self.held_out:
             return np.column_stack([self.estimate.rms_nominal, self.estimate.rms])
-        parameters = np.column_stack([self.session.model.nominal_parameters, self.estimate.parameters])
+        parameters = np.column_stack([self.session.model.described_parameters, self.estimate.parameters])
         return self.session.rms(self.held_out, parameters)
 
     @cached_property

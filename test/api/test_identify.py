@@ -76,6 +76,21 @@ def test_without_held_out_data_the_fitted_ones_are_judged() -> None:
     assert list(found.rms_nominal.values()) == found.estimate.rms_nominal.tolist()
 
 
+@pytest.mark.parametrize("hold_out", [0.3, 0.0])
+def test_a_urdf_is_judged_with_its_own_friction(hold_out: float, tmp_path: Path) -> None:
+    """Given as the URDF, an identified file has the error that it had alone, here and in the bounds of ``verify``."""
+    (tmp_path / "given.urdf").write_text(geomid_ros.identify(BAG, URDF, hold_out=hold_out).urdf())
+    found = geomid_ros.identify(BAG, tmp_path / "given.urdf", hold_out=hold_out)
+    found.save(tmp_path / "out", report=False)
+    assert found.rms_nominal == pytest.approx(dict(found.handover.given))
+    checked = geomid_ros.verify(
+        tmp_path / "out" / "estimate.json", validate=BAG, urdf=tmp_path / "given.urdf", require="rms<=urdf"
+    )
+    bounds = [float(outcome.bound.split()[1]) for outcome in checked.outcomes]
+    # Its delay, and the shape of its friction, are the model's: a little less than alone, a fifth of that without any.
+    assert bounds == pytest.approx(list(found.rms_nominal.values()), rel=0.4)
+
+
 @pytest.mark.usefixtures("without_pictures")
 def test_an_estimate_is_kept_whose_bag_is_gone_before_it_is_saved(tmp_path: Path) -> None:
     bag = shutil.copytree(BAG, tmp_path / "bag")
