@@ -10,7 +10,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -148,12 +148,14 @@ def _payload(effect: KnownEffect, links: Mapping[str, Span], joints: Mapping[str
 
 
 _DRAKE = 'xmlns:drake="http://drake.mit.edu"'
+_FRICTION = re.compile(rb"""\s+friction\s*=\s*("[^"]*"|'[^']*')""")
 _OF_DRAKE = re.compile(rb"\s*<drake:(?:rotor_inertia|gear_ratio)\b[^>]*/>")
 
 
 def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
     """Add reflected rotor inertias to ``urdf`` at the actuators of its transmissions; a joint without a transmission
-    gets one. Deletes massless inertials. Drake: ``multibody/parsing/parsing_doxygen.h``, tag_drake_rotor_inertia."""
+    gets one. Deletes massless inertials, and dry friction, which Drake ignores. Drake:
+    ``multibody/parsing/parsing_doxygen.h``, tag_drake_rotor_inertia."""
     data = urdf.encode()
     transmissions = {
         joint.get("name"): transmission.get("name")
@@ -171,7 +173,7 @@ def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
             edits.append((*span.child, edited(actuator, [insertion(actuator, start, inside)])))
         else:
             added += _transmission(joint, inside)
-    return edited(data, [*edits, *_massless(urdf, source), (end, end, added)]).decode()
+    return edited(data, [*edits, *_massless(urdf, source), *_without_friction(data), (end, end, added)]).decode()
 
 
 def _massless(urdf: str, source: str) -> list[Edit]:
@@ -183,6 +185,14 @@ def _massless(urdf: str, source: str) -> list[Edit]:
     ]
     spans = spans_of(urdf.encode(), _ROBOT, "link", "inertial")
     return [(*span.child, b"") for name in weightless if name and (span := spans[name]).child]
+
+
+def _without_friction(data: bytes) -> Iterator[Edit]:
+    """Edits that delete the dry friction in <dynamics>, and elements that have nothing else."""
+    for joint in spans_of(data, _ROBOT, "joint", "dynamics").values():
+        if joint.child:
+            element = _FRICTION.sub(b"", data[slice(*joint.child)])
+            yield (*joint.child, element if b"=" in element else b"")
 
 
 def _rotor(inertia: float) -> bytes:
