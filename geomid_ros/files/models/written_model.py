@@ -196,9 +196,9 @@ def _whole(values: _Values, key: tuple[Place, Effect, int], elements: Collection
     representable = all(form.said_by(elements) for form in effect.parameters[: len(parts)])
     if len(parts) < 2 or not representable or not all(part in values for part in parts):
         return None
-    name = values[key][0].place_name
+    name, sliding = values[key][0].place_name, effect.parameters[0].slides_by(values[key][0].unit)
     coefficients = np.array([values.pop(part)[1] for part in parts])
-    quantities = effect.quantities(coefficients, np.full((len(parts), len(parts)), math.nan))
+    quantities = effect.quantities(coefficients, np.full((len(parts), len(parts)), math.nan), sliding=sliding)
     return KnownEffect(effect.name, name, "", quantities)
 
 
