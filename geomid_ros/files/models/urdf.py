@@ -3,7 +3,9 @@ change; and the frames, axes and limits of joints."""
 
 from __future__ import annotations
 
+import html
 import math
+import os
 import re
 import resource
 import shlex
@@ -85,6 +87,22 @@ def _run_xacro(command: Sequence[str], path: Path) -> str:
         last = " ".join(output.decode(errors="replace").split())[-LONGEST_REASON:]
         raise InputError(f"{path}: xacro cannot make a URDF of it ({last or status}); is an --xacro-arg missing?")
     return text.decode(errors="replace")
+
+
+_FILE_NAME = re.compile(r"""(<(?:mesh|texture)\b[^<>]*?\sfilename\s*=\s*["'])([^"':<>]+)""")
+
+
+def with_absolute_files(urdf: str, source: str) -> str:
+    """Replace relative names of mesh and texture files by absolute ones, which are found from any folder; names of
+    files that do not exist remain. They start at the folder of ``source``, or remain if that is no file."""
+    if not os.path.isfile(source):  # noqa: PTH113 it is false for a text that is no path
+        return urdf
+
+    def absolute(match: re.Match[str]) -> str:
+        path = str(Path(source).resolve().parent / html.unescape(match[2]))
+        return match[1] + html.escape(path) if os.path.isfile(path) else match[0]  # noqa: PTH113
+
+    return _FILE_NAME.sub(absolute, urdf)
 
 
 def _bounds() -> None:

@@ -32,7 +32,7 @@ from geomid_ros.files.models.effects_file import (
 from geomid_ros.files.models.estimate_file import EstimateFile, inertias_of, link_entry, verdict_entry
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF, with_same_files
-from geomid_ros.files.models.urdf import with_effects, with_inertials
+from geomid_ros.files.models.urdf import with_absolute_files, with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, to_document
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class, values_of
@@ -93,7 +93,8 @@ def write_model(
     }
     write_json(folder / ESTIMATE, document | dict(noise))
     of_urdf, of_mjcf = alone[URDF], alone["mujoco"]
-    write_text(folder / IDENTIFIED, with_effects(with_inertials(urdf, of_urdf.inertias, removed), of_urdf.effects))
+    whole = with_absolute_files(urdf, model.robot.source)
+    write_text(folder / IDENTIFIED, with_effects(with_inertials(whole, of_urdf.inertias, removed), of_urdf.effects))
     write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity))
     of_sidecar = with_same_files(reader)
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, models[of_sidecar].effects, alone[of_sidecar].effects)
