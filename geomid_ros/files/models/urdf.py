@@ -36,8 +36,11 @@ _MEMORY = 2_000_000_000  # memory limit of xacro [bytes]
 _ROBOT = ["robot"]
 
 
-def read_urdf(path: Path) -> str:
-    """Read the text of a URDF file, with its line ends. Raises InputError naming it."""
+def read_urdf(path: Path, arguments: Sequence[str] = ()) -> str:
+    """Read the text of a URDF file, with its line ends, or make it of a xacro file with these ``arguments``. Raises
+    InputError naming it."""
+    if path.suffix == SUFFIX:
+        return urdf_of_xacro(path, arguments)
     return read_text(path, "robot description", MOST_URDF_BYTES)
 
 
