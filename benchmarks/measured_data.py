@@ -132,7 +132,7 @@ def compare(case: Case, paper: bool = False) -> Comparison:
     seconds = time.process_time() - begin
     session, test = found.session, Samples.concatenate(list(found.held_out))
     solutions = {
-        "URDF": session.model.nominal_parameters,
+        "URDF": session.model.described_parameters,
         "effects alone": _effects_alone(session),
         "least squares": _least_squares(session, found.train),
         "geomid": np.asarray(found.estimate.parameters),

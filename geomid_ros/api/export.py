@@ -148,7 +148,7 @@ class SampledRobots:
         out, files = Path(folder), list[Path]()
         for name, text in self.texts:
             files.append(out / name)
-            progress("writing robots", len(files) / self.drawn.count)
+            progress("writing robots", min(len(files) / self.drawn.count, 1.0))
             write_text(files[-1], text)
         progress("comparing torques", 0.0)
         ranges, picture = out / "ranges.yaml", out / "torques.png"

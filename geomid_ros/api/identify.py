@@ -130,7 +130,7 @@ class Identification:
 
     @property
     def rms_nominal(self) -> dict[str, float]:
-        """Residual RMS of the URDF by channel [N m, N], with its inertias and no effects."""
+        """Residual RMS of the URDF by channel [N m, N], with its inertias and the friction in its ``<dynamics>``."""
         return self._by_channel(self._rms_on_judged[:, 0])
 
     @property
@@ -143,7 +143,7 @@ class Identification:
         """Residual RMS of the URDF and of the estimate ``(channels, 2)``."""
         if not self.held_out:
             return np.column_stack([self.estimate.rms_nominal, self.estimate.rms])
-        parameters = np.column_stack([self.session.model.nominal_parameters, self.estimate.parameters])
+        parameters = np.column_stack([self.session.model.described_parameters, self.estimate.parameters])
         return self.session.rms(self.held_out, parameters)
 
     @cached_property
@@ -207,10 +207,13 @@ class Identification:
 
     @property
     def not_written(self) -> str:
-        """Effects that the description for :attr:`reader` cannot represent, in a sentence; empty if there are none."""
-        names = unrepresentable(model_effects(self.estimate, self.session.loaded.effects), ELEMENTS[self.reader])
-        sentence = f"Not representable in {self.written.name}: {'; '.join(names)}"
-        return f"{sentence}. The file is fitted without them; estimate.json has them." if names else ""
+        """Effects and shapes that the description for :attr:`reader` omits, in sentences; empty if there are none."""
+        present = model_effects(self.estimate, self.session.loaded.effects)
+        effects = "; ".join(unrepresentable(present, ELEMENTS[self.reader]))
+        shapes = "; ".join(self.written.missing_shapes)
+        lacks = f"Not representable in {self.written.name}:"
+        said = [f"{lacks} {effects}. The file is fitted without them; estimate.json has them."] if effects else []
+        return " ".join([*said, *([f"{lacks} {shapes} ('geomid export' has --package-path)."] if shapes else [])])
 
     def __repr__(self) -> str:
         """Reasons for doubt, the state of convergence, and a line for each link."""
@@ -223,7 +226,8 @@ class Identification:
         return "\n".join([*self.verdict.remarks, heading, *lines])
 
     def urdf(self) -> str:
-        """Return the URDF with the identified inertias and friction; every other character is kept."""
+        """Return the URDF with the identified inertias and friction; only names of files, which become absolute,
+        change besides."""
         return identified_urdf(self.session, self.estimate)
 
     def plot(self) -> Figure:

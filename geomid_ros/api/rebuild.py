@@ -154,9 +154,8 @@ def _effects(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield _row(entry["name"], entry, parameter.name, entry) | {"from_data": entry.get("from_data")}
         for form in constants:
             if form.name in entry:
-                yield _row(
-                    entry["name"], entry, form.name, {"value": entry[form.name], "std": 0.0, "unit": form.units[0]}
-                )
+                unit = form.units[parameter.slides_by(entry.get("unit", ""))]
+                yield _row(entry["name"], entry, form.name, {"value": entry[form.name], "std": 0.0, "unit": unit})
     for entry in document.get("added", []):
         for name, quantity in entry["parameters"].items():
             yield _row(entry["effect"], entry, name, quantity) | {"from_data": entry.get("from_data")}

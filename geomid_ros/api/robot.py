@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 from geomid_ros.api.options import RecordingOptions, RobotOptions
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import bags_in
-from geomid_ros.files.models.urdf import SUFFIX, read_urdf, urdf_of_xacro
+from geomid_ros.files.models.urdf import SUFFIX, read_urdf
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.moving_base import Imu
@@ -81,12 +81,10 @@ def description(options: DescriptionOptions, bags: Sequence[Path], model: PathLi
     urdf, arguments = options.urdf, texts(options.xacro_args)
     if isinstance(urdf, str) and urdf.lstrip().startswith("<"):
         return DescribedRobot(urdf, "robot description")
-    if urdf is not None and Path(urdf).suffix == SUFFIX:
-        return DescribedRobot(urdf_of_xacro(Path(urdf), arguments), str(urdf))
-    if arguments:
+    if arguments and (urdf is None or Path(urdf).suffix != SUFFIX):
         raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is not a {SUFFIX} file")
     if urdf is not None:
-        return DescribedRobot(read_urdf(Path(urdf)), str(urdf))
+        return DescribedRobot(read_urdf(Path(urdf), arguments), str(urdf))
     if model is not None and (identified := identified_urdf_path(model)).is_file():
         text, source = read_urdf(identified), str(identified)
     else:

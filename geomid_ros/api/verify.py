@@ -125,7 +125,7 @@ def reasons_for_doubt(session: Session) -> list[str]:
 
 def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) -> dict[str, Values]:
     """Return the values of every quantity that a requirement can name."""
-    nominal, parameters = session.model.nominal_parameters, session.known_parameters
+    nominal, parameters = session.model.described_parameters, session.known_parameters
     channels = [channel.name for channel in session.model.channels]
     floors = file.floor or file.rms.train
     residual_rms = rms_of_model(session, samples), session.rms(samples, nominal)

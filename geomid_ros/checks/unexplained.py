@@ -123,7 +123,7 @@ def unexplained(
         parameters: the identified ones ``(D,)``.
         recorded: samples of all that was recorded, which are evaluated, too; None if there are none.
     """
-    both = np.column_stack([parameters, model.nominal_parameters])
+    both = np.column_stack([parameters, model.described_parameters])
     groups = (list(batches), [] if recorded is None else [recorded])
     residuals = [_residual_rms(model, samples, both) for samples in groups if samples]
     if not residuals:

@@ -147,7 +147,7 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
         batches: samples to evaluate on, at least one.
         parameters: the identified ones.
     """
-    both = np.column_stack([parameters, model.nominal_parameters])
+    both = np.column_stack([parameters, model.described_parameters])
     pairs = [model.predict(samples, both) for samples in batches]
     errors = np.concatenate([(predicted - measured[:, :, None]) ** 2 for measured, predicted in pairs])
     blocks = [block for block in np.array_split(errors, BLOCKS) if len(block)]
@@ -158,7 +158,7 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
 
 def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
     """Channels that parameters ``(D,)`` predict worse than the URDF on rows, beyond the scatter of the rows' folds."""
-    return _worse(model, *(rows.rms_by_fold(vector) ** 2 for vector in (parameters, model.nominal_parameters)))
+    return _worse(model, *(rows.rms_by_fold(vector) ** 2 for vector in (parameters, model.described_parameters)))
 
 
 def _worse(model: MeasurementModel, errors: FloatArray, nominal: FloatArray) -> list[str]:

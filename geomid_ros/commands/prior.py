@@ -46,7 +46,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     unchanged. The result is a prior for identification, not an estimate.
     """
     from geomid_ros.files.disk import write_text
-    from geomid_ros.files.models.urdf import read_urdf, with_inertials
+    from geomid_ros.files.models.urdf import read_urdf, with_absolute_files, with_inertials
     from geomid_ros.files.shapes import ShapeReader
     from geomid_ros.model.robot import Robot
     from geomid_ros.model.shape_prior import ShapedUrdf, shape_prior
@@ -62,7 +62,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     robot.check_staying(solids)
     result = shape_prior(robot.inertials, solids, mass, str(urdf))
     inertias = {link.name: link.parameters for link in result.links if link.parameters is not None}
-    written = with_inertials(text, inertias)
+    written = with_inertials(with_absolute_files(text, str(urdf)), inertias)
     write_text(out, written)
     _show(result, kept)
     warnings = [*reader.warnings, *_warnings(result, robot.tree)]

@@ -186,12 +186,12 @@ def _show_spread(sampled: geomid_ros.SampledRobots) -> None:
 def export(**options: Any) -> None:
     """Print an estimate in the format of other software.
 
-    FROM is an estimate.json with its identified.urdf in the same folder, or any URDF. For ur (Universal Robots) and
-    franka, prints the payload at the flange, as commands for the controller and its ROS driver. For urdf, moveit,
-    isaac, gazebo and drake, prints a URDF of the robot; for mujoco, an MJCF. With --frame, prints the inertial of a
-    payload instead. Each format gets its own fit, with only the parameters that it can hold; a note lists the others.
-    Standard deviations are in comments. A payload that the data do not identify is refused, and so is a model whose
-    verdict is not 'usable', without --force.
+    FROM is an estimate.json with its identified.urdf in the same folder, or any URDF or xacro file. For ur (Universal
+    Robots) and franka, prints the payload at the flange, as commands for the controller and its ROS driver. For urdf,
+    moveit, isaac, gazebo and drake, prints a URDF of the robot; for mujoco, an MJCF. With --frame, prints the
+    inertial of a payload instead. Each format gets its own fit, with only the parameters that it can hold; a note
+    lists the others. Standard deviations are in comments. A payload that the data do not identify is refused, and so
+    is a model whose verdict is not 'usable', without --force.
 
     Nothing is tested here: 'geomid identify --for' writes the same description and tests it on held-out data.
     """

@@ -251,7 +251,7 @@ class Estimate:
         parameters: ``(D,)`` of the measurement model.
         channels: Names of the measured channels.
         sigmas, rms_nominal, rms: ``(channels,)`` in the channels' units: standard deviations, and RMS residuals of the
-            nominal and of the identified model; NaN where nothing was measured.
+            URDF and of the identified model; NaN where nothing was measured.
         prior_stds: Prior std ``(links,)`` of the links as found from the data, geodesic distances.
         information: Log-likelihood of all links together.
         rows, targets: Rows ``(<= D, D)`` and targets of all parameters of the posterior, with independent errors of

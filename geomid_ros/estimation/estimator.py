@@ -172,7 +172,7 @@ def estimate(
     while True:
         # Solve anew, not from the last result: a dropped effect may have led it to another minimum.
         solved = fitted(columns, continued, choice)
-        result = _estimate(columns, model, solved, settings)
+        result = _estimate(columns, full_problem, solved, settings)
         if continued is not None or not len(insignificant := _least_significant(model, result, columns)):
             break
         columns = np.setdiff1d(columns, insignificant)
@@ -250,8 +250,8 @@ def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
     return summary.pooled(fast <= np.maximum(slow, unknowns))
 
 
-def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, settings: EstimatorSettings) -> Estimate:
-    """Assemble the estimate from a fit."""
+def _estimate(columns: IntArray, whole: Problem, solved: _Solved, settings: EstimatorSettings) -> Estimate:
+    """Assemble the estimate from a fit of these columns of the ``whole`` problem."""
     fitted, _, notes = solved
     problem = fitted.problem
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
@@ -280,7 +280,7 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         assumed_prior_stds=fitted.assumed_prior_stds,
         expected=_information_at(manifold, solution.point, known.prior_rows),
     )
-    parameters = np.zeros(whole.dimension)
+    parameters = np.zeros(whole.model.dimension)
     parameters[columns] = solution.point.parameters
     factor = np.sqrt(min(errors.independent_fraction, problem.independent_fraction))
     return Estimate(
@@ -296,7 +296,7 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),
         prior_stds=frozen(fitted.prior_stds),
-        rms_nominal=frozen(summary.rms(model.nominal_parameters)),
+        rms_nominal=frozen(whole.summary.rms(whole.model.described_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
         information=uncertainty.links_information(
             manifold, prior_point, solution.point, fitted.rows, known.weighed, errors

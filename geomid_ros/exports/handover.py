@@ -194,6 +194,11 @@ class DescriptionTest:
         return DESCRIPTIONS[self.reader].whole(robot)
 
     @property
+    def missing_shapes(self) -> list[str]:
+        """Sentences on the shapes that an MJCF omits."""
+        return self._whole.omissions if self.reader == MUJOCO else []
+
+    @property
     def files(self) -> dict[str, str]:
         """Texts of the files by name: the description, and the files beside it."""
         return {self.name: self._whole.text, **self._whole.extra_files}

@@ -21,7 +21,7 @@ from geomid_ros.files.models.effects_file import (
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.posterior import RTOL
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
+from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_absolute_files, with_inertials
 from geomid_ros.files.models.written_model import IDENTIFIED, fitted_model_of
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
@@ -128,7 +128,7 @@ def read_model(path: Path, reader: str = "") -> ExportModel:
 
 
 def _of_urdf(path: Path) -> ExportModel:
-    text = read_urdf(path)
+    text = with_absolute_files(read_urdf(path), str(path))
     tree, effects = parse(text, str(path)), tuple(_dynamics(text, str(path), ()))
     return ExportModel(
         source=str(path),

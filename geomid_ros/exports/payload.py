@@ -92,6 +92,11 @@ def each_link(model: ExportModel) -> list[Export]:
     exports = []
     for name in model.estimated or model.bodies:
         body = model.bodies[name]
+        if not pseudo_inertia.is_body(body.parameters):
+            raise InputError(
+                f"{model.source}: link '{name}': {_not_physical(body.parameters)}; correct its <inertial>, or compute "
+                "it from the link's shapes ('geomid prior URDF --mass KG'); 'geomid identify' repairs it itself"
+            )
         inertial = total([Summand(body, np.eye(4))], f"{model.source}: link '{name}'")
         exports.append(Export(f"link '{name}'", name, inertial, _link_notes(body)))
     return exports

@@ -143,7 +143,7 @@ def descriptions_of(
 
     Args:
         robots: the sampled robots.
-        tool: reader of the files: for :data:`~geomid_ros.exports.descriptions.DESCRIPTIONS` one file per robot, for
+        tool: reader of the files: for :data:`~geomid_ros.exports.descriptions.DESCRIPTIONS` those of each robot, for
             ``json`` one file of all.
         into: MJCF of the user, for mujoco.
         packages: folders of ROS packages, by name.
@@ -155,10 +155,13 @@ def descriptions_of(
     template = _template(robots.model, into, packages) if tool == MUJOCO else None
     digits = len(str(robots.count))
     for number, model in enumerate(robots, 1):
+        name = f"robot_{number:0{digits}d}"
         if template is None:
-            yield f"robot_{number:0{digits}d}.urdf", DESCRIPTIONS[tool].whole(as_described(model, packages)).text
+            files = DESCRIPTIONS[tool].whole(as_described(model, packages))
+            yield f"{name}.urdf", files.text
+            yield from ((f"{name}_{beside}", text) for beside, text in files.extra_files.items())
         else:
-            yield f"robot_{number:0{digits}d}.xml", template.with_numbers(model)
+            yield f"{name}.xml", template.with_numbers(model)
 
 
 def _template(model: ExportModel, into: Path | None, packages: Mapping[str, Path]) -> UserMjcf:

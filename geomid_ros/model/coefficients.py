@@ -57,7 +57,7 @@ class Coefficient:
         """Return the parameters that follow from its ``value``: its own, and its effect's constants."""
         parameter = {self.parameter: Quantity(value, std, self.unit)}
         constants = self.effect.constants([(value, std)], math.nan, 0.0)
-        sliding = self.effect.parameters[0].units[0] != self.unit
+        sliding = self.effect.parameters[0].slides_by(self.unit)
         first = self.effect.parameters.index(self.effect.column_parameters[-1]) + 1
         return parameter | quantities(self.effect.parameters[first:], constants, sliding=sliding)
 

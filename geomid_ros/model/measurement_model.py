@@ -238,6 +238,13 @@ class MeasurementModel:
             [described.get((c.place_name, c.effect.column_parameters[c.index].urdf), 0.0) for c in self.coefficients]
         )
 
+    @property
+    def described_parameters(self) -> FloatArray:
+        """Parameters ``(D,)`` of the URDF: its inertias, and its ``<dynamics>`` as effects in their usual shape."""
+        described = np.append(self.nominal_inertias, self.described_coefficients)
+        held = [*range(len(self.nominal_inertias)), *self.usual_shapes.values()]
+        return np.where(np.isin(np.arange(self.dimension), held), described, 0.0)
+
     def manifold(self, scales: FloatArray) -> ParameterManifold:
         """Return the manifold of the parameters, with ``scales`` of the real coefficients."""
         return ParameterManifold(len(self.identified), self.positives, scales)

@@ -25,7 +25,7 @@ from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.population import population_document, read_population
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import ELEMENTS, URDF
-from geomid_ros.files.models.urdf import with_effects, with_inertials
+from geomid_ros.files.models.urdf import with_absolute_files, with_effects, with_inertials
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.model.alike_parts import AlikeParts, alike_parts, alike_sentences
 from geomid_ros.model.samples import Samples
@@ -195,7 +195,8 @@ def document(
 
 
 def identified_urdf(session: Session, estimate: Estimate) -> str:
-    """Robot description with the inertias and friction that were fitted for a URDF; every other character is kept."""
+    """Robot description with the inertias and friction that were fitted for a URDF; every other character is kept,
+    but names of files become absolute."""
     written = written_model(session.model, estimate, URDF, session.loaded.effects)
     return with_effects(with_inertias_of(session, estimate, written), written.effects)
 
@@ -203,7 +204,7 @@ def identified_urdf(session: Session, estimate: Estimate) -> str:
 def with_inertias_of(session: Session, estimate: Estimate, written: WrittenModel) -> str:
     """Robot description with the inertias of an estimate's written model, and its original friction."""
     merged = [name for link in estimate.links for name in link.merged]
-    return with_inertials(session.urdf, written.inertias, merged)
+    return with_inertials(with_absolute_files(session.urdf, session.robot.source), written.inertias, merged)
 
 
 def save(

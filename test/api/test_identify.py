@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from commands.running import WRIST, done, identify, undrawn
@@ -16,6 +17,7 @@ import geomid_ros
 from geomid_ros.files.models.posterior import read_remainder
 from geomid_ros.session.configuration import Configuration
 
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 
 
@@ -74,6 +76,41 @@ def test_without_held_out_data_the_fitted_ones_are_judged() -> None:
     assert found.document["rms"]["held_out"] is None
     assert list(found.rms.values()) == found.estimate.rms.tolist()
     assert list(found.rms_nominal.values()) == found.estimate.rms_nominal.tolist()
+
+
+@pytest.mark.parametrize("hold_out", [0.3, 0.0])
+def test_a_urdf_is_judged_with_its_own_friction(hold_out: float, tmp_path: Path) -> None:
+    """Given as the URDF, an identified file has the error that it had alone, here and in the bounds of ``verify``."""
+    (tmp_path / "given.urdf").write_text(geomid_ros.identify(BAG, URDF, hold_out=hold_out).urdf())
+    found = geomid_ros.identify(BAG, tmp_path / "given.urdf", hold_out=hold_out)
+    found.save(tmp_path / "out", report=False)
+    assert found.rms_nominal == pytest.approx(dict(found.handover.given))
+    checked = geomid_ros.verify(
+        tmp_path / "out" / "estimate.json", validate=BAG, urdf=tmp_path / "given.urdf", require="rms<=urdf"
+    )
+    bounds = [float(outcome.bound.split()[1]) for outcome in checked.outcomes]
+    # Its delay, and the shape of its friction, are the model's: a little less than alone, a fifth of that without any.
+    assert bounds == pytest.approx(list(found.rms_nominal.values()), rel=0.4)
+
+
+def test_shapes_are_found_from_any_folder_or_missed_in_words(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    mesh = "<visual><geometry><mesh filename='{}'/></geometry></visual></link>"
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "a&b.obj").write_text(TETRAHEDRON)
+    shapes = (mesh.format("meshes/a&amp;b.obj") + mesh.format("package://none/gone.stl")).replace("</link>", "", 1)
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(URDF.read_text().replace("</link>", shapes, 1))
+    found = geomid_ros.identify(BAG, urdf, reader="mujoco")
+    found.save(tmp_path / "elsewhere" / "out", report=False)
+    assert "Not representable in identified.xml: " in found.not_written
+    assert "gone.stl" in found.not_written
+    exported = geomid_ros.export(tmp_path / "elsewhere" / "out" / "estimate.json", "mujoco")
+    for text in (found.written.files["identified.xml"], exported.text):
+        (file,) = [mesh.get("file", "") for mesh in ElementTree.fromstring(text).iter("mesh")]
+        assert Path(file) == tmp_path / "meshes" / "a&b.obj"
+    names = [mesh.get("filename") for mesh in ElementTree.fromstring(found.urdf()).iter("mesh")]
+    assert names == [file, "package://none/gone.stl"]
 
 
 @pytest.mark.usefixtures("without_pictures")

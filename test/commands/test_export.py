@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -113,5 +114,8 @@ def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:
         (["--into", "robot.xml"], "into is a file of MuJoCo's"),
     ):
         assert said in refused("export", urdf, "--for", "gazebo", *wrong)
+    impossible = tmp_path / "impossible.urdf"
+    impossible.write_text(re.sub('izz="[^"]*"', 'izz="9"', urdf.read_text(), count=1))
+    assert "'geomid prior URDF --mass KG'" in refused("export", impossible, "--for", "mujoco")
     both = ("--into", "robot.xml", "--frame", "tool")
     assert "into and frame exclude each other" in refused("export", urdf, "--for", "mujoco", *both)

@@ -163,6 +163,7 @@ def test_a_xacro_is_run_with_its_arguments(robot_xacro: Path, tmp_path: Path) ->
     made, plain = links(tmp_path / "xacro"), links(tmp_path / "plain")
     assert (made[0].pop("name"), plain[0].pop("name")) == ("left_link1", "link1")
     assert made == plain
+    assert '<link name="link1">' in geomid("export", robot_xacro, "--for", "urdf").stdout
     assert "xacro" not in (tmp_path / "xacro/identified.urdf").read_text().partition("<robot")[2]
 
 

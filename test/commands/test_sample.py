@@ -110,7 +110,11 @@ def test_ranges_hold_the_estimate_and_are_event_terms_for_isaac_lab(estimate: Pa
     armature = found["events"]["parameters_of_joint1"]["params"]["armature_distribution_params"]
     (rotor,) = (e["range"] for e in found["effects"] if (e["effect"], e["joint"]) == ("rotor_inertia", "joint1"))
     assert armature == rotor
-    assert (tmp_path / "robot_01.urdf").exists()
+    assert len([*tmp_path.glob("robot_*.urdf")]) == int(FEW[1])
+    joints = [json.loads(file.read_text()) for file in tmp_path.glob("robot_*_isaac_joints.json")]
+    drawn = [of_robot["joint1"]["armature"] for of_robot in joints]
+    assert len(set(drawn)) == int(FEW[1])
+    assert 0.5 * armature[0] < min(drawn) < max(drawn) < 2.0 * armature[1]
 
 
 def test_ranges_are_as_wide_as_the_standard_deviations_say_and_wider_when_asked(estimate: Path, tmp_path: Path) -> None:

@@ -91,14 +91,16 @@ def test_mujoco_predicts_what_geomid_does(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("tool", ["urdf", "moveit", "isaac", "gazebo", "drake"])
 def test_pinocchio_predicts_what_geomid_does(tool: str, tmp_path: Path) -> None:
-    """By urdfdom, with the rotors from geomid's file, as a URDF cannot say them."""
+    """By urdfdom, with the rotors from geomid's file, as a URDF cannot say them, nor one for Drake the dry friction."""
     model = written(tmp_path, EFFECTS)
     samples, expected = predicted(model)
     robot = pin.buildModelFromXML(exported(model, tool))
     rotors = np.array([known.parameters["inertia"].value for known in EFFECTS[6:]])
+    dry = np.array([known.parameters["level"].value for known in EFFECTS[3:6]])
+    np.testing.assert_allclose(robot.friction, 0.0 if tool == "drake" else dry)
     data = robot.createData()
     found = [
-        pin.rnea(robot, data, q, v, a) + robot.damping * v + robot.friction * np.tanh(v / 0.02) + rotors * a
+        pin.rnea(robot, data, q, v, a) + robot.damping * v + dry * np.tanh(v / 0.02) + rotors * a
         for q, v, a in motions(samples)
     ]
     np.testing.assert_allclose(found, expected, atol=DIGITS)

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from files.recordings import BAGS, QUICK
 import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.errors import InputError
+from geomid_ros.exports.descriptions import described
 from geomid_ros.exports.handover import DescriptionTest, FileTest, ReadBack, read_mjcf_back, read_urdf_back
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.mjcf import mjcf
@@ -153,7 +155,7 @@ def test_what_a_file_cannot_say_casts_no_doubt_on_a_result_that_predicts_better(
     assert "RMS 2 instead of 1 (it cannot represent spring of a)" in sentence
 
 
-@pytest.mark.parametrize("reader", ["urdf", "mujoco", "drake"])
+@pytest.mark.parametrize("reader", WRITTEN)
 def test_what_is_exported_later_is_what_was_fitted_then(reader: str, tmp_path: Path) -> None:
     save(found().session, tmp_path, found().estimate)
     model = read_model(tmp_path / "estimate.json", reader)
@@ -167,6 +169,13 @@ def test_what_is_exported_later_is_what_was_fitted_then(reader: str, tmp_path: P
         assert {n: q.value for n, q in there.parameters.items()} == pytest.approx(
             {n: q.value for n, q in effect.parameters.items()}
         )
+    text = described(model, reader, [], {}).text
+    assert dynamics(text) == dynamics(handed(reader).files[handed(reader).name])
+
+
+def dynamics(description: str) -> list[dict[str, str]]:
+    """Attributes of all joints."""
+    return [element.attrib for element in ElementTree.fromstring(description).iter("dynamics")]
 
 
 def test_an_earlier_estimate_is_exported_as_not_fitted(tmp_path: Path) -> None:

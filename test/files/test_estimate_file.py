@@ -11,14 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from geomid_ros.api.rebuild import tables
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
+from geomid_ros.files.models.effects_file import by_parameter
 from geomid_ros.files.models.estimate_file import EstimateFile, estimate_document, verdict_entry
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.files.models.written_model import write_model
-from geomid_ros.model.effects import Quantity
+from geomid_ros.files.models.written_model import write_model, written_model
+from geomid_ros.model.effects import Quantity, identified_effect
+from geomid_ros.model.effects.friction import CoulombFriction
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
@@ -59,6 +62,33 @@ def test_the_document_says_what_the_estimate_says() -> None:
         "train": {"joint1": 0.5, "joint2": None},
         "held_out": {"joint1": 0.7, "joint2": None},
     }
+
+
+def test_units_are_those_of_the_joint() -> None:
+    """Of a rail N and m, in a table, when read, and in a description's model."""
+    rail = Robot(read_urdf(BAGS / "arm3.urdf").replace("revolute", "prismatic"))
+    effects = [*map(identified_effect, ("viscous_friction", "spring", "effort_offset")), CoulombFriction(0.01)]
+    model = MeasurementModel(rail, effects)
+    estimate = estimate_of(
+        *(link_estimate(name, seed=k) for k, name in enumerate(model.body_names)),
+        effects=tuple(
+            EffectEstimate(name=c.effect.name, joint=c.place_name, parameters=c.parameters(0.5, 0.1), from_data=0.9)
+            for c in model.coefficients
+        ),
+    )
+    units = {
+        ("viscous_friction", "coefficient"): "N s/m",
+        ("coulomb_friction", "level"): "N",
+        ("coulomb_friction", "smoothing"): "m/s",
+        ("spring", "stiffness"): "N/m",
+        ("spring", "equilibrium"): "m",
+        ("effort_offset", "offset"): "N",
+    }
+    result = estimate_document(estimate, {})
+    found = {((row["effect"], row["parameter"]), row["unit"]) for row in tables(result)["effects"]}
+    for known in (EstimateFile.of(result, "").known_effects, written_model(model, estimate, "mujoco").effects):
+        found |= {((effect, name), q.unit) for (effect, _, name), q in by_parameter(known).items()}
+    assert found == set(units.items())
 
 
 def session_from(model: Path) -> Session:

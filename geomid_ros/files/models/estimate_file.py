@@ -45,7 +45,8 @@ from geomid_ros.files.schema import (
 )
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.effects import KnownEffect, Quantity, effect_class, identifiable
+from geomid_ros.model.effects import KnownEffect, effect_class, identifiable
+from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.robot import GRAVITY
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
@@ -105,6 +106,7 @@ class CoefficientEntry:
     joint: str
     value: float
     std: float = math.nan
+    unit: str = ""
     from_data: float = math.nan
 
 
@@ -345,11 +347,12 @@ def _known_effect(entry: CoefficientEntry, raw: Mapping[str, Any], source: str) 
     if not math.isfinite(entry.value):
         raise InputError(f"{source} {entry.name} at '{entry.joint}' has no value, expected a finite number")
     first, *constants = cls.parameters
-    parameters = {first.name: Quantity(entry.value, entry.std or math.nan, first.units[0])}
+    sliding = first.slides_by(entry.unit)
+    parameters = quantities([first], [(entry.value, entry.std or math.nan)], sliding=sliding)
     for form in constants:
         if form.name in raw:
             where = f"{source} {form.name} of {cls.name} at '{entry.joint}'"
-            parameters[form.name] = Quantity(from_document(float, raw[form.name], where), 0.0, form.units[0])
+            parameters |= quantities([form], [(from_document(float, raw[form.name], where), 0.0)], sliding=sliding)
             check_quantity(parameters[form.name], form, where)
     return KnownEffect(entry.name, entry.joint, "", parameters)
 

@@ -3,14 +3,16 @@ change; and the frames, axes and limits of joints."""
 
 from __future__ import annotations
 
+import html
 import math
+import os
 import re
 import resource
 import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -34,8 +36,11 @@ _MEMORY = 2_000_000_000  # memory limit of xacro [bytes]
 _ROBOT = ["robot"]
 
 
-def read_urdf(path: Path) -> str:
-    """Read the text of a URDF file, with its line ends. Raises InputError naming it."""
+def read_urdf(path: Path, arguments: Sequence[str] = ()) -> str:
+    """Read the text of a URDF file, with its line ends, or make it of a xacro file with these ``arguments``. Raises
+    InputError naming it."""
+    if path.suffix == SUFFIX:
+        return urdf_of_xacro(path, arguments)
     return read_text(path, "robot description", MOST_URDF_BYTES)
 
 
@@ -85,6 +90,22 @@ def _run_xacro(command: Sequence[str], path: Path) -> str:
         last = " ".join(output.decode(errors="replace").split())[-LONGEST_REASON:]
         raise InputError(f"{path}: xacro cannot make a URDF of it ({last or status}); is an --xacro-arg missing?")
     return text.decode(errors="replace")
+
+
+_FILE_NAME = re.compile(r"""(<(?:mesh|texture)\b[^<>]*?\sfilename\s*=\s*["'])([^"':<>]+)""")
+
+
+def with_absolute_files(urdf: str, source: str) -> str:
+    """Replace relative names of mesh and texture files by absolute ones, which are found from any folder; names of
+    files that do not exist remain. They start at the folder of ``source``, or remain if that is no file."""
+    if not os.path.isfile(source):  # noqa: PTH113 it is false for a text that is no path
+        return urdf
+
+    def absolute(match: re.Match[str]) -> str:
+        path = str(Path(source).resolve().parent / html.unescape(match[2]))
+        return match[1] + html.escape(path) if os.path.isfile(path) else match[0]  # noqa: PTH113
+
+    return _FILE_NAME.sub(absolute, urdf)
 
 
 def _bounds() -> None:
@@ -148,12 +169,14 @@ def _payload(effect: KnownEffect, links: Mapping[str, Span], joints: Mapping[str
 
 
 _DRAKE = 'xmlns:drake="http://drake.mit.edu"'
+_FRICTION = re.compile(rb"""\s+friction\s*=\s*("[^"]*"|'[^']*')""")
 _OF_DRAKE = re.compile(rb"\s*<drake:(?:rotor_inertia|gear_ratio)\b[^>]*/>")
 
 
 def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
     """Add reflected rotor inertias to ``urdf`` at the actuators of its transmissions; a joint without a transmission
-    gets one. Deletes massless inertials. Drake: ``multibody/parsing/parsing_doxygen.h``, tag_drake_rotor_inertia."""
+    gets one. Deletes massless inertials, and dry friction, which Drake ignores. Drake:
+    ``multibody/parsing/parsing_doxygen.h``, tag_drake_rotor_inertia."""
     data = urdf.encode()
     transmissions = {
         joint.get("name"): transmission.get("name")
@@ -171,7 +194,7 @@ def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
             edits.append((*span.child, edited(actuator, [insertion(actuator, start, inside)])))
         else:
             added += _transmission(joint, inside)
-    return edited(data, [*edits, *_massless(urdf, source), (end, end, added)]).decode()
+    return edited(data, [*edits, *_massless(urdf, source), *_without_friction(data), (end, end, added)]).decode()
 
 
 def _massless(urdf: str, source: str) -> list[Edit]:
@@ -183,6 +206,14 @@ def _massless(urdf: str, source: str) -> list[Edit]:
     ]
     spans = spans_of(urdf.encode(), _ROBOT, "link", "inertial")
     return [(*span.child, b"") for name in weightless if name and (span := spans[name]).child]
+
+
+def _without_friction(data: bytes) -> Iterator[Edit]:
+    """Edits that delete the dry friction in <dynamics>, and elements that have nothing else."""
+    for joint in spans_of(data, _ROBOT, "joint", "dynamics").values():
+        if joint.child:
+            element = _FRICTION.sub(b"", data[slice(*joint.child)])
+            yield (*joint.child, element if b"=" in element else b"")
 
 
 def _rotor(inertia: float) -> bytes:

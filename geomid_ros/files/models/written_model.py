@@ -32,7 +32,7 @@ from geomid_ros.files.models.effects_file import (
 from geomid_ros.files.models.estimate_file import EstimateFile, inertias_of, link_entry, verdict_entry
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF, with_same_files
-from geomid_ros.files.models.urdf import with_effects, with_inertials
+from geomid_ros.files.models.urdf import with_absolute_files, with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, to_document
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class, values_of
@@ -93,7 +93,8 @@ def write_model(
     }
     write_json(folder / ESTIMATE, document | dict(noise))
     of_urdf, of_mjcf = alone[URDF], alone["mujoco"]
-    write_text(folder / IDENTIFIED, with_effects(with_inertials(urdf, of_urdf.inertias, removed), of_urdf.effects))
+    whole = with_absolute_files(urdf, model.robot.source)
+    write_text(folder / IDENTIFIED, with_effects(with_inertials(whole, of_urdf.inertias, removed), of_urdf.effects))
     write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity))
     of_sidecar = with_same_files(reader)
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, models[of_sidecar].effects, alone[of_sidecar].effects)
@@ -196,9 +197,9 @@ def _whole(values: _Values, key: tuple[Place, Effect, int], elements: Collection
     representable = all(form.said_by(elements) for form in effect.parameters[: len(parts)])
     if len(parts) < 2 or not representable or not all(part in values for part in parts):
         return None
-    name = values[key][0].place_name
+    name, sliding = values[key][0].place_name, effect.parameters[0].slides_by(values[key][0].unit)
     coefficients = np.array([values.pop(part)[1] for part in parts])
-    quantities = effect.quantities(coefficients, np.full((len(parts), len(parts)), math.nan))
+    quantities = effect.quantities(coefficients, np.full((len(parts), len(parts)), math.nan), sliding=sliding)
     return KnownEffect(effect.name, name, "", quantities)
 
 

@@ -91,6 +91,10 @@ class ParameterForm:
     drake: str = ""
     gazebo: str = ""
 
+    def slides_by(self, unit: str) -> bool:
+        """True if a value in this ``unit`` is one at a prismatic joint."""
+        return unit == self.units[1] != self.units[0]
+
     def said_by(self, files: Iterable[str]) -> bool:
         """True if one of ``files`` can contain it: ``urdf``, ``mjcf``, ..., or an element in one, ``mjcf/joint``."""
         return bool(self.place_in(files))
