@@ -20,7 +20,8 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, frozen
 GRAVITY = np.array([0.0, 0.0, -9.81])
 STANDARD_GRAVITY = float(np.linalg.norm(GRAVITY))
 """[m/s^2]"""
-_DYNAMICS = "damping", "friction"
+_DYNAMICS = {"damping": 2, "friction": 1}
+"""Attributes, and the power of a mimic joint's factor in the effort of its master."""
 _PARALLEL = 0.99  # scalar product of two axes
 _MEETING = 2e-3  # [m] between axes that meet
 _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint of the URDF
@@ -104,7 +105,7 @@ class Robot:
         self.gravity = frozen(gravity)
         self.tree = urdf_tree.parse(urdf, source)
         self._first_joint = 2 if floating_base else 1
-        masters = _masters(self.tree, source)
+        masters = urdf_tree.masters(self.tree, source)
         fixed = {*locked_joints, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
         self._locked = {*locked_joints, *(name for name, (master, _, _) in masters.items() if master in fixed)}
         """Joints to lock, including mimic joints whose master does not move."""
@@ -148,17 +149,23 @@ class Robot:
 
     @cached_property
     def described_dynamics(self) -> dict[tuple[str, str], float]:
-        """Values of the URDF's ``<dynamics>`` elements, by joint and attribute (``dynamics/damping``).
+        """Values of the URDF's ``<dynamics>`` elements, by joint and attribute (``dynamics/damping``). Those of mimic
+        joints are part of their masters', as their efforts are.
 
         Raises InputError if a value is not a number.
         """
-        return {
+        values = {
             (joint.get("name", ""), f"dynamics/{key}"): urdf_tree.read_numbers(
                 joint, "dynamics", (key,), [0.0], f"{self.source}: joint '{joint.get('name')}'"
             )[0]
             for joint in urdf_tree.read_xml(self.urdf, self.source).findall("joint")
             for key in _DYNAMICS
         }
+        for follower in self.mimic_joints:
+            for key, power in _DYNAMICS.items():
+                share = values.pop((follower.joint.name, f"dynamics/{key}")) * abs(follower.factor) ** power
+                values[self.joint_names[follower.master], f"dynamics/{key}"] += share
+        return values
 
     def _without_locked(self, model: pin.Model) -> pin.Model:
         indices = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
@@ -527,25 +534,6 @@ class Robot:
             massive = joints[index, 0] > 0.0
             model.inertias[index] = pin.Inertia.FromDynamicParameters(joints[index]) if massive else pin.Inertia.Zero()
         return model
-
-
-def _masters(tree: urdf_tree.UrdfTree, source: str) -> dict[str, tuple[str, float, float]]:
-    """Return the final master of each mimic joint, with the overall factor and offset; without joints whose master does
-    not exist."""
-    by_name = {joint.name: joint for joint in tree.joints}
-    masters = {}
-    for first in (joint for joint in tree.joints if joint.type != "fixed"):
-        joint, factor, offset = first, 1.0, 0.0
-        for _ in tree.joints:
-            if joint.mimic is None or joint.mimic.master not in by_name:
-                break
-            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
-            joint = by_name[joint.mimic.master]
-        else:
-            raise InputError(f"{source}: joint '{first.name}' mimics itself")
-        if joint is not first:
-            masters[first.name] = joint.name, factor, offset
-    return masters
 
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:

@@ -130,6 +130,25 @@ def tree(robot: Element, source: str) -> UrdfTree:
     return UrdfTree(links, joints, _root(links, joints, source), massive, frozenset(things))
 
 
+def masters(tree: UrdfTree, source: str) -> dict[str, tuple[str, float, float]]:
+    """Return the final master of each mimic joint, with the overall factor and offset; without joints whose master does
+    not exist. Raises InputError if one mimics itself."""
+    by_name = {joint.name: joint for joint in tree.joints}
+    found = {}
+    for first in (joint for joint in tree.joints if joint.type != "fixed"):
+        joint, factor, offset = first, 1.0, 0.0
+        for _ in tree.joints:
+            if joint.mimic is None or joint.mimic.master not in by_name:
+                break
+            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
+            joint = by_name[joint.mimic.master]
+        else:
+            raise InputError(f"{source}: joint '{first.name}' mimics itself")
+        if joint is not first:
+            found[first.name] = joint.name, factor, offset
+    return found
+
+
 def read_xml(text: str, source: str) -> Element:
     """Return the ``<robot>`` element of a URDF. Raises InputError naming ``source``."""
     if len(text.encode(errors="replace")) > MOST_URDF_BYTES:
