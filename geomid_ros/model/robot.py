@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model import urdf_tree
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, frozen
@@ -34,6 +34,7 @@ class Body:
     Attributes:
         name: URDF link in whose frame the parameters are expressed.
         merged: Links with a mass that are fixed to it; their inertias are included.
+        locked: Those of them that move relative to it in the URDF, where a locked joint is not fixed.
         joint: Pinocchio's index of the joint that moves it; 0 if a mounted sensor fixes it to the world.
         parameters: ``(10,)`` in pinocchio's order.
         to_joint: Transform ``(10, 10)`` of parameters from the link's frame to the joint's frame.
@@ -41,6 +42,7 @@ class Body:
 
     name: str
     merged: tuple[str, ...]
+    locked: tuple[str, ...]
     joint: int
     parameters: FloatArray
     to_joint: FloatArray
@@ -107,7 +109,7 @@ class Robot:
         self._first_joint = 2 if floating_base else 1
         masters = urdf_tree.masters(self.tree, source)
         fixed = {*locked_joints, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
-        self._locked = {*locked_joints, *(name for name, (master, _, _) in masters.items() if master in fixed)}
+        self.locked_joints = {*locked_joints, *(name for name, (master, _, _) in masters.items() if master in fixed)}
         """Joints to lock, including mimic joints whose master does not move."""
         self._model = self._without_locked(_build(urdf_tree.without_shapes(urdf, source), floating_base, source))
         self._model.gravity.linear = self.gravity
@@ -169,12 +171,12 @@ class Robot:
 
     def _without_locked(self, model: pin.Model) -> pin.Model:
         indices = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
-        for name in sorted(self._locked):
+        for name in sorted(self.locked_joints):
             if name not in indices:
                 raise unknown_name("joint to lock", name, indices)
-        if not self._locked:
+        if not self.locked_joints:
             return model
-        return pin.buildReducedModel(model, [indices[name] for name in sorted(self._locked)], pin.neutral(model))
+        return pin.buildReducedModel(model, [indices[name] for name in sorted(self.locked_joints)], pin.neutral(model))
 
     def _moving_joints(self) -> tuple[Joint, ...]:
         types = {joint.name: joint.type for joint in self.tree.joints}
@@ -215,7 +217,7 @@ class Robot:
         return self._model.frames[self._model.getFrameId(link, pin.BODY)]
 
     def _is_fixed(self, joint: urdf_tree.UrdfJoint) -> bool:
-        return joint.type == "fixed" or joint.name in self._locked
+        return joint.type == "fixed" or joint.name in self.locked_joints
 
     def _rigid_group(self, link: str, cuts: set[str]) -> list[str]:
         group = [link]
@@ -232,9 +234,11 @@ class Robot:
         for link in massive:
             parameters += _transform(frame.placement.actInv(self._frame(link).placement)) @ self.tree.inertials[link]
         parameters = self._checked_parameters(head, massive, parameters)
+        above = {link: takewhile(lambda joint: joint.child != head, self.tree.joints_above(link)) for link in massive}
         return Body(
             head,
             tuple(link for link in massive if link != head),
+            tuple(link for link, joints in above.items() if any(joint.type != "fixed" for joint in joints)),
             frame.parentJoint,
             frozen(parameters),
             frozen(_transform(frame.placement)),
@@ -259,6 +263,44 @@ class Robot:
             f"least {1e3 * pseudo_inertia.least_gyration(mass):.2g} mm)"
         )
         return repaired
+
+    def as_links(self, inertias: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Parameters ``(10,)`` of links, in whose description no joint is locked, from ``inertias`` of bodies by name.
+
+        Links that are :attr:`~Body.locked` to a body were not identified by themselves: they keep their inertials,
+        which are subtracted from the body. If the rest is no possible body, all parts change as the body has: they are
+        transported parallel along the geodesic from the URDF's body to it, so that they are possible and add up to it.
+        """
+        links = dict(inertias)
+        for body in self.bodies:
+            if body.name in inertias and body.locked:
+                links |= self._divided(body, links.pop(body.name))
+        return links
+
+    def _divided(self, body: Body, whole: FloatArray) -> dict[str, FloatArray]:
+        placed = {link: self.fixed_placement(link, body.name) for link in (body.name, *body.merged)}
+        parts = {
+            link: spd.congruence(place, pseudo_inertia.from_parameters(pseudo_inertia.nearest_body(inertial)))
+            for link, place in placed.items()
+            if (inertial := self.tree.inertials.get(link, np.zeros(10)))[0] > 0.0
+        }
+        total, locked = pseudo_inertia.from_parameters(whole), [link for link in body.locked if link in parts]
+        rest = pseudo_inertia.to_parameters(total - sum(parts[link] for link in locked))
+        if pseudo_inertia.is_body(rest):
+            return {body.name: rest}
+        factor = spd.transport_factor(np.sum([*parts.values()], axis=0), total)
+        own = [part for link, part in parts.items() if link not in locked]
+        moved = {body.name: np.sum(own, axis=0)} if own else {}
+        moved |= {link: parts[link] for link in locked}
+        return {
+            link: pseudo_inertia.to_parameters(spd.congruence(np.linalg.inv(placed[link]) @ factor, part))
+            for link, part in moved.items()
+        }
+
+    def included_links(self, bodies: Collection[str]) -> list[str]:
+        """Links that are part of these ``bodies`` in a description, too: fixed to them, not locked."""
+        chosen = (body for body in self.bodies if body.name in bodies)
+        return [link for body in chosen for link in body.merged if link not in body.locked]
 
     @property
     def effort_limits(self) -> FloatArray:

@@ -63,6 +63,7 @@ def test_the_dynamics_are_those_of_pinocchio(name: str) -> None:
     _, expected = Reference(description(name)).inverse_dynamics(samples, robot.joint_names)
     model = without_stops(compiled(mjcf(robot, {})))
     assert_equal(efforts(model, samples, robot.joint_names), expected, EXACT)
+    assert model.body_mass.sum() == pytest.approx(sum(own[0] for own in robot.tree.inertials.values()))
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -227,12 +228,12 @@ ODD = """<robot name="odd -- one">
 
 
 def test_an_odd_robot() -> None:
-    """Massless moving links, a slide on a skew axis, a joint without limits, a locked one, odd names."""
+    """Massless moving links, a slide on a skew axis, a joint without limits, one that was locked, odd names."""
     robot = Robot(ODD, locked_joints=["held"])
     samples = random_samples(robot, 8)
     model = compiled(mjcf(robot, {}, [effect("viscous_friction", "rail & slide", coefficient=2.0)]))
-    assert [model.joint(index).name for index in range(model.njnt)] == ["rail & slide", "turn"]
-    assert list(model.jnt_limited) == [1, 0]
+    assert [model.joint(index).name for index in range(model.njnt)] == ["rail & slide", "turn", "held"]
+    assert list(model.jnt_limited) == [1, 0, 1]
     locked = ODD.replace('name="held" type="revolute"', 'name="held" type="fixed"')
     _, expected = Reference(locked).inverse_dynamics(samples, robot.joint_names)
     expected[:, 0] += 2.0 * samples.velocity[:, 0]

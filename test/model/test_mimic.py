@@ -146,9 +146,12 @@ def test_one_that_follows_nobody_is_a_joint() -> None:
     assert Robot(text).joint_names == ("lift", "turn", "grip", "other_finger")
 
 
-def test_in_the_mjcf_they_are_tied_to_their_masters() -> None:
+@pytest.mark.parametrize("locked", [[], ["grip"], ["turn", "grip"]])
+def test_in_the_mjcf_they_are_tied_to_their_masters(locked: list[str]) -> None:
+    """Of which some were locked: in the file they move, with their own masses."""
     mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_string(mjcf(Robot(description(MASSES)), {}))
+    model = mujoco.MjModel.from_xml_string(mjcf(Robot(description(MASSES), locked_joints=locked), {}))
+    assert {name: model.body(f"{name}_link").mass[0] for name in MASSES} == pytest.approx(MASSES)
     assert model.nu == 3
     assert model.njnt == 6
     tied = {
