@@ -258,10 +258,11 @@ def _joint_frame(element: Element, source: str) -> JointFrame:
     where = f"{source}: joint '{name}'"
     position, rotation = origin_of(element, where)
     axis = np.array(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where))
-    lower, upper, effort = -math.inf, math.inf, math.inf
-    if kind in ("revolute", "prismatic"):
-        limits = (read_numbers(element, "limit", (key,), [0.0], where) for key in ("lower", "upper", "effort"))
-        (lower,), (upper,), (effort,) = limits
+    (lower,), (upper,), (effort,) = (
+        read_numbers(element, "limit", (key,), [0.0], where) for key in ("lower", "upper", "effort")
+    )
+    if kind not in ("revolute", "prismatic"):
+        lower, upper = -math.inf, math.inf
     return JointFrame(
         name=name,
         slides=kind == "prismatic",
