@@ -16,8 +16,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
@@ -27,17 +26,17 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.exports import formats
-from geomid_ros.exports.model import ExportModel
+from geomid_ros.exports.model import ExportModel, payload_link
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effects_file import joint_attributes, unrepresentable
+from geomid_ros.files.models.effects_file import joint_attributes, of_followers, tilted_gravity, unrepresentable
 from geomid_ros.files.models.mjcf import with_identified
 from geomid_ros.files.models.readers import ELEMENTS, EXISTING_MJCF
 from geomid_ros.files.models.urdf import for_drake, for_gazebo, joint_frames, with_effects
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.urdf_tree import MOST_URDF_BYTES
-from geomid_ros.resimulation.written_robot import BodyFrames, body_frames
+from geomid_ros.model.urdf_tree import MOST_URDF_BYTES, masters
+from geomid_ros.resimulation.written_robot import CompiledMjcf, compile_mjcf
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
@@ -163,20 +162,7 @@ def _mujoco(robot: RobotToDescribe) -> DescriptionFiles:
 
 def as_described(model: ExportModel, packages: Mapping[str, Path] = MappingProxyType({})) -> RobotToDescribe:
     """Return the input for a description of a model."""
-    read = partial(described_robot, model)
-    return RobotToDescribe(model.urdf, model.urdf_path, model.effects, model.gravity, read, packages)
-
-
-def described_robot(model: ExportModel) -> Robot:
-    """Return the robot with the identified bodies; joints between links identified as one body are locked."""
-    merged = {link for body in model.bodies.values() for link in body.merged}
-    return Robot(
-        model.urdf,
-        source=str(model.urdf_path),
-        floating_base=model.tree.root in model.estimated,
-        cuts=[joint.child for joint in model.tree.joints if joint.type == "fixed" and joint.child in model.estimated],
-        locked_joints=[joint.name for joint in model.tree.joints if joint.child in merged and joint.type != "fixed"],
-    )
+    return RobotToDescribe(model.urdf, model.urdf_path, model.effects, model.gravity, lambda: model.robot, packages)
 
 
 DESCRIPTIONS = {
@@ -201,24 +187,36 @@ class UserMjcf:
         path: the file.
         text: its content.
         placements: homogeneous matrices ``(4, 4)`` from links to the bodies of the same names.
-        joints: names of its joints.
+        joints: values of its joints by attribute, by name.
+        in_degrees: joints with angles in degrees.
         emptied: bodies that are merged into others.
     """
 
     path: Path
     text: str
     placements: Mapping[str, FloatArray]
-    joints: Collection[str]
-    emptied: Sequence[str]
+    joints: Mapping[str, Mapping[str, float]]
+    in_degrees: Collection[str] = ()
+    emptied: Sequence[str] = ()
 
     def with_numbers(self, model: ExportModel) -> str:
         """Return the text with the inertias of the links and the effects at the joints of a model, all else unchanged.
-        Raises InputError if one of them is not in this file but in an included one."""
-        inertias = {name: _moved(_with_payload(model, name), placed) for name, placed in self.placements.items()}
+        Raises InputError as :meth:`patched` does."""
+        inertias = {
+            name: pseudo_inertia.moved(_with_payload(model, name), placed) for name, placed in self.placements.items()
+        }
         attributes = joint_attributes(model.effects, "joint")
-        joints = {name: values for name, values in attributes.items() if name in self.joints}
+        for name, zeros in of_followers(attributes, masters(model.tree, model.source)).items():
+            own = {key: zero for key, zero in zeros.items() if self.joints.get(name, {}).get(key)}
+            attributes[name] = attributes.get(name, {}) | own
+        return self.patched(inertias, attributes)
+
+    def patched(self, inertias: Mapping[str, FloatArray], attributes: Mapping[str, Mapping[str, float]]) -> str:
+        """Return the text with ``inertias (10,)`` of bodies and ``attributes`` of joints that it has, by name. Raises
+        InputError if one of them is not in this file but in an included one."""
+        joints = {name: values for name, values in attributes.items() if values and name in self.joints}
         try:
-            return with_identified(self.text, inertias, joints, self.emptied)
+            return with_identified(self.text, inertias, joints, self.emptied, self.in_degrees)
         except KeyError as error:
             raise InputError(
                 f"{self.path}: {error} is not in this file itself; give the one that includes nothing"
@@ -232,12 +230,13 @@ def patch_user_mjcf(model: ExportModel, path: Path) -> DescriptionFiles:
     see :func:`read_user_mjcf`."""
     target = read_user_mjcf(model, path)
     patched = target.with_numbers(model)
-    links, attributes = model.estimated or model.bodies, joint_attributes(model.effects, "joint")
+    links, attributes = model.written, joint_attributes(model.effects, "joint")
     sentences = [
         *not_representable(model, ELEMENTS[EXISTING_MJCF]),
         *_named(f"{path}: has no body", [name for name in links if name not in target.placements]),
         *_named(f"{path}: has no joint", [name for name in attributes if name not in target.joints]),
         *_named("Merged into other bodies (mass set to zero):", target.emptied),
+        *_named(f"{path}: {_NOT_THE_MODELS}", _differences(model, compile_mjcf(path, patched))),
     ]
     return DescriptionFiles(patched, sentences)
 
@@ -250,42 +249,70 @@ def read_user_mjcf(model: ExportModel, path: Path) -> UserMjcf:
     Raises:
         InputError: it has none of the bodies, or its axes are not where the URDF has them.
     """
-    text, frames = read_text(path, "MJCF", MOST_URDF_BYTES), body_frames(path)
-    links = model.estimated or tuple(model.bodies)
-    bodies = [name for name in links if name in frames.bodies]
+    text, compiled = read_text(path, "MJCF", MOST_URDF_BYTES), compile_mjcf(path)
+    bodies = [name for name in model.written if name in compiled.bodies]
     if not bodies:
-        raise InputError(
-            f"{path}: has none of the bodies {', '.join(links)}; those that it has: {', '.join(frames.bodies)}"
-        )
-    base = _base(model, frames, path)
-    placed = {name: np.linalg.inv(frames.bodies[name]) @ base @ model.placements[name] for name in bodies}
-    emptied = [link for name in bodies for link in model.bodies[name].merged if frames.masses.get(link)]
-    return UserMjcf(path, text, placed, tuple(frames.joints), emptied)
+        names = f"{', '.join(model.written)}; those that it has: {', '.join(compiled.bodies)}"
+        raise InputError(f"{path}: has none of the bodies {names}")
+    base = _base(model, compiled, path)
+    placed = {name: np.linalg.inv(compiled.bodies[name]) @ base @ model.placements[name] for name in bodies}
+    merged = [link for name in bodies for link in model.bodies[name].merged if link not in model.bodies]
+    emptied = [link for link in merged if compiled.moving.get(link)]
+    target = UserMjcf(path, text, placed, compiled.attributes, emptied=emptied)
+    springs = [name for name, values in joint_attributes(model.effects, "joint").items() if "springref" in values]
+    ones = compile_mjcf(path, target.patched({}, {name: {"springref": 1.0} for name in springs})).attributes
+    return replace(target, in_degrees=[name for name in springs if name in ones and ones[name]["springref"] != 1.0])
+
+
+_NOT_THE_MODELS = "as MuJoCo compiles the written file, it differs from the model:"
+
+
+def _differences(model: ExportModel, compiled: CompiledMjcf) -> list[str]:
+    """Phrases on the masses and joint attributes of a robot in MuJoCo, and the gravity, that are not the model's."""
+    masses = {name: body.mass for name, body in model.bodies.items()}
+    masses |= {payload_link(model.tree, name): 0.0 for name in model.written}
+    masses |= {name: _with_payload(model, name)[0] for name in model.written}
+    robot = {*model.tree.links} - {"world"}
+    for name in compiled.moving:  # parents come first
+        robot |= {name} if compiled.parents[name] in robot else set()
+    pairs = [
+        (f"mass of {name}", mass, masses.get(name, 0.0)) for name, mass in compiled.moving.items() if name in robot
+    ]
+    effects, joints = joint_attributes(model.effects, "joint"), {joint.name for joint in model.tree.joints}
+    pairs += [
+        (f"{key} of {name}", value, effects.get(name, {}).get(key, 0.0))
+        for name, values in compiled.attributes.items()
+        for key, value in values.items()
+        if name in joints and (key != "springref" or values["stiffness"])
+    ]
+    gravity = tilted_gravity(model.gravity, model.effects)
+    if model.tree.root not in model.estimated:
+        gravity = _base(model, compiled, model.urdf_path)[:3, :3] @ gravity
+    phrases = [f"{name} {own:.4g} instead of {known:.4g}" for name, own, known in pairs if not np.isclose(own, known)]
+    if np.linalg.norm(compiled.gravity - gravity) > _FAR * np.linalg.norm(gravity):
+        own, expected = (np.round(each, 3).tolist() for each in (compiled.gravity, gravity))
+        phrases.append(f"gravity {own} instead of {expected}")
+    return phrases
+
+
+def _with_payload(model: ExportModel, link: str) -> FloatArray:
+    """Parameters ``(10,)`` of a link and of the payload found on it, which is a separate link of the URDF."""
+    payload, parameters = model.payload_of(link), model.bodies[link].parameters
+    return parameters if payload is None else parameters + payload.parameters
 
 
 def _named(heading: str, names: Sequence[str]) -> list[str]:
     return [f"{heading} {', '.join(names)}"] if names else []
 
 
-def _with_payload(model: ExportModel, link: str) -> FloatArray:
-    """Parameters ``(10,)`` of a link and of the payload found on it, which is a separate link of the URDF."""
-    payload = model.payload_of(link)
-    parameters = model.bodies[link].parameters
-    return parameters if payload is None else parameters + payload.parameters
-
-
-def _moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:
-    return pseudo_inertia.to_parameters(placement @ pseudo_inertia.from_parameters(parameters) @ placement.T)
-
-
-def _base(model: ExportModel, frames: BodyFrames, path: Path) -> FloatArray:
+def _base(model: ExportModel, compiled: CompiledMjcf, path: Path) -> FloatArray:
     """Homogeneous matrix ``(4, 4)`` from the URDF's root to the MJCF's world: the placement of the body named like the
     root, or else the best fit of all axes. Raises InputError if neither fits."""
-    axes = _urdf_axes(model, frames.joints)
-    named = frames.bodies.get(model.tree.root, np.eye(4))
-    fitted = _fitted(axes, frames.joints)
+    axes = _urdf_axes(model, compiled.axes)
+    named = compiled.bodies.get(model.tree.root, np.eye(4))
+    fitted = _fitted(axes, compiled.axes)
     apart = [
-        [name for name in axes if _deviation(base, axes[name], frames.joints[name]) >= _FAR] for base in (named, fitted)
+        [name for name in axes if _deviation(base, axes[name], compiled.axes[name]) >= _FAR] for base in (named, fitted)
     ]
     if [] in apart:
         return (named, fitted)[apart.index([])]

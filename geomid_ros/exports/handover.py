@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.urdf_tree import read_xml
-from geomid_ros.resimulation.written_robot import load_mujoco
+from geomid_ros.resimulation.written_robot import body_inertias, joint_attributes, load_mujoco
 from geomid_ros.session.session import Session, with_inertias_of
 from geomid_ros.types import FloatArray
 
@@ -123,19 +123,15 @@ def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
         model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         raise InputError(f"the written MJCF: MuJoCo does not take it ({error})") from error
-    inertias: dict[str, FloatArray] = {}
-    for index in range(1, model.nbody):
-        name = model.body(index).name.removesuffix(_PAYLOAD)
-        inertias[name] = inertias.get(name, np.zeros(10)) + _parameters(mujoco, model, index)
+    inertias = dict.fromkeys(robot.body_names, np.zeros(10))
+    for name, parameters in body_inertias(model).items():
+        link = {"world_link": "world"}.get(name, name.removesuffix(_PAYLOAD))
+        if (body := robot.body_of(link)) is not None:
+            placed = robot.fixed_placement(link, body)
+            inertias[body] = inertias[body] + pseudo_inertia.moved(parameters, placed)
     attributes: Attributes = {}
     for name in robot.joint_names:
-        joint = model.joint(name)
-        (dof,), (place,) = joint.dofadr, joint.qposadr
-        attributes[name, "joint/damping"] = float(model.dof_damping[dof])
-        attributes[name, "joint/frictionloss"] = float(model.dof_frictionloss[dof])
-        attributes[name, "joint/armature"] = float(model.dof_armature[dof])
-        attributes[name, "joint/stiffness"] = float(joint.stiffness[0])
-        attributes[name, "joint/springref"] = float(model.qpos_spring[place])
+        attributes |= {(name, f"joint/{key}"): value for key, value in joint_attributes(model, name).items()}
     for index in range(model.ntendon):
         first, second = model.wrap_objid[model.tendon_adr[index] :][:2]
         pair = pair_name(model.joint(first).name, model.joint(second).name)
@@ -143,17 +139,7 @@ def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
         for key in ("damping", "frictionloss", "armature"):
             place = pair, f"tendon/{key}"
             attributes[place] = attributes.get(place, 0.0) + float(np.ravel(getattr(model, f"tendon_{key}")[index])[0])
-    urdf_names = {"world_link": "world"}
-    return ReadBack("mujoco", {urdf_names.get(name, name): value for name, value in inertias.items()}, attributes)
-
-
-def _parameters(mujoco: Any, model: Any, index: int) -> FloatArray:
-    """Parameters ``(10,)`` of a body about the origin of its frame."""
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.body_iquat[index])
-    axes = rotation.reshape(3, 3)
-    inertia = axes @ np.diag(model.body_inertia[index]) @ axes.T
-    return pseudo_inertia.assemble(model.body_mass[index], model.body_ipos[index], inertia)
+    return ReadBack("mujoco", inertias, attributes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,8 @@ from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_absolute_
 from geomid_ros.files.models.written_model import IDENTIFIED, fitted_model_of
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
-from geomid_ros.model.robot import GRAVITY
-from geomid_ros.model.urdf_tree import UrdfTree, parse, read_numbers, read_xml
+from geomid_ros.model.robot import GRAVITY, Robot
+from geomid_ros.model.urdf_tree import UrdfTree, masters, parse, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 
@@ -69,13 +69,39 @@ class ExportModel:
             placements[link] = placements[joints[link].parent] @ placed
         return placements
 
+    @property
+    def written(self) -> list[str]:
+        """Links whose inertias are written into files: the identified ones and those locked to them; all of a URDF."""
+        merged = [link for name in self.estimated for link in self.bodies[name].merged if link in self.bodies]
+        return [*self.estimated, *merged] or [*self.bodies]
+
+    @cached_property
+    def robot(self) -> Robot:
+        """Robot with the identified bodies; joints between links identified as one body are locked."""
+        return Robot(
+            self.urdf,
+            source=str(self.urdf_path),
+            floating_base=self.tree.root in self.estimated,
+            cuts=[joint.child for joint in self.tree.joints if joint.type == "fixed" and joint.child in self.estimated],
+            locked_joints=self._locked,
+        )
+
+    @cached_property
+    def _locked(self) -> list[str]:
+        merged = {link for body in self.bodies.values() for link in body.merged}
+        return [joint.name for joint in self.tree.joints if joint.child in merged and joint.type != "fixed"]
+
+    def as_links(self, inertias: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Return parameters ``(10,)`` of links from those of identified bodies by name, see :meth:`Robot.as_links`."""
+        return self.robot.as_links(inertias) if self._locked else dict(inertias)
+
     def placement(self, link: str, frame: str) -> FloatArray:
         """Return the homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
         return np.linalg.inv(self.placements[frame]) @ self.placements[link]
 
     def payload_of(self, link: str) -> UncertainInertia | None:
         """Payload that ``geomid gap`` found on a link: a link of the URDF, fixed to it; None if there is none."""
-        return self.bodies.get(_payload_link(self.tree, link))
+        return self.bodies.get(payload_link(self.tree, link))
 
     def check_link(self, link: str, kind: str) -> None:
         """Raise InputError if there is no such link."""
@@ -110,9 +136,7 @@ def read_model(path: Path, reader: str = "") -> ExportModel:
     friction = _dynamics(text, str(urdf), effects)
     if written is not None:
         effects = tuple(effect for effect in written.effects if not is_payload(effect))
-        bodies |= {name: replace(bodies[name], parameters=inertia) for name, inertia in written.inertias.items()}
-        text = with_inertials(text, written.inertias)
-    return ExportModel(
+    model = ExportModel(
         source=source,
         tree=tree,
         bodies=bodies,
@@ -124,6 +148,13 @@ def read_model(path: Path, reader: str = "") -> ExportModel:
         known=(*known, *friction),
         gravity=file.gravity,
         fitted=written is not None or not reader,
+    )
+    links = model.as_links(file.inertias if written is None else written.inertias)
+    bodies = {name: body for name, body in bodies.items() if name in links or name not in file.inertias}
+    bodies |= {name: replace(bodies[name], parameters=inertia) for name, inertia in links.items()}
+    estimated = tuple(name for name in model.estimated if name in bodies)
+    return replace(
+        model, bodies=bodies, estimated=estimated, urdf=text if written is None else with_inertials(text, links)
     )
 
 
@@ -143,14 +174,15 @@ def _of_urdf(path: Path) -> ExportModel:
 
 def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[KnownEffect]:
     """Return the friction in <dynamics> of a URDF, unless it is among the effects that were ``found``."""
-    written = joint_attributes(found, "dynamics")
+    written, leaders = joint_attributes(found, "dynamics"), masters(parse(urdf, source), source)
     forms = {effect: cls.parameters[0] for effect, cls in EFFECTS.items() if cls.is_one_number()}
     effects = []
     for joint in read_xml(urdf, source).findall("joint"):
         name = joint.get("name", "")
         for effect, form in forms.items():
             element, _, attribute = form.urdf.partition("/")
-            if element == "dynamics" and attribute not in written.get(name, {}):
+            leader, *_ = leaders.get(name, (name,))
+            if element == "dynamics" and attribute not in written.get(leader, {}):
                 (value,) = read_numbers(joint, element, (attribute,), [0.0], f"{source}: joint '{name}'")
                 quantity = Quantity(value, math.nan, form.units[joint.get("type") == "prismatic"])
                 effects += [KnownEffect(effect, name, "", {form.name: quantity})] if value > 0.0 else []
@@ -165,31 +197,33 @@ def _urdf_bodies(tree: UrdfTree) -> dict[str, UncertainInertia]:
 def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, UncertainInertia]:
     """Return the bodies of the URDF, with the estimates of those that were identified, and the standard deviations of
     payloads found by ``geomid gap``, which are links of their own."""
-    written = fitted_model_of(file, URDF)
-    _check_same_model(file.inertias if written is None else written.inertias, tree, file.source)
+    written, merged = fitted_model_of(file, URDF), file.merged
+    for name, parameters in (file.inertias if written is None else written.inertias).items():
+        _check_mass(parameters[0], (name, *merged.get(name, ())), tree, file.source)
     bodies = _urdf_bodies(tree)
     if any(link.cannot_tell is not None for link in file.links):
-        bodies = {name: replace(body, cannot_tell=QUANTITIES) for name, body in bodies.items()}
+        unknown = bodies.keys() - {link for links in merged.values() for link in links}
+        bodies |= {name: replace(bodies[name], cannot_tell=QUANTITIES) for name in unknown}
     bodies |= file.bodies
     for effect in filter(is_payload, file.known_effects):
-        name = _payload_link(tree, effect.link)
+        name = payload_link(tree, effect.link)
         if name in bodies:
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in QUANTITY_NAMES]
             bodies[name] = UncertainInertia(parameters=bodies[name].parameters, std=np.array(std))
     return bodies
 
 
-def _payload_link(tree: UrdfTree, carrier: str) -> str:
+def payload_link(tree: UrdfTree, carrier: str) -> str:
     """Link that a URDF has last as the payload of another one; empty if there is none."""
     names = [joint.child for joint in tree.children(carrier) if is_payload_name(joint.child, carrier)]
     return names[-1] if names else ""
 
 
-def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source: str) -> None:
-    for name, parameters in inertias.items():
-        written = tree.inertials.get(name, np.zeros(10))[0]
-        if abs(written - parameters[0]) > RTOL * parameters[0]:
-            raise InputError(
-                f"{source}: the {IDENTIFIED} in the same folder is not of this estimate: link '{name}' has "
-                f"{written:.6g} kg there and {parameters[0]:.6g} kg here"
-            )
+def _check_mass(mass: float, links: Sequence[str], tree: UrdfTree, source: str) -> None:
+    """Refuse a description in which a body, the ``links``, does not have this mass (InputError)."""
+    written = sum(tree.inertials[link][0] for link in links if link in tree.inertials)
+    if abs(written - mass) > RTOL * mass:
+        raise InputError(
+            f"{source}: the {IDENTIFIED} in the same folder is not of this estimate: link '{links[0]}' has "
+            f"{written:.6g} kg there and {mass:.6g} kg here"
+        )

@@ -98,14 +98,14 @@ def each_link(model: ExportModel) -> list[Export]:
                 "it from the link's shapes ('geomid prior URDF --mass KG'); 'geomid identify' repairs it itself"
             )
         inertial = total([Summand(body, np.eye(4))], f"{model.source}: link '{name}'")
-        exports.append(Export(f"link '{name}'", name, inertial, _link_notes(body)))
+        exports.append(Export(f"link '{name}'", name, inertial, _link_notes(model, body)))
     return exports
 
 
-def _link_notes(body: UncertainInertia) -> tuple[str, ...]:
+def _link_notes(model: ExportModel, body: UncertainInertia) -> tuple[str, ...]:
     notes = []
-    if body.merged:
-        notes.append(f"includes {', '.join(body.merged)}, whose own inertial is removed")
+    if merged := [link for link in body.merged if link not in model.bodies]:
+        notes.append(f"includes {', '.join(merged)}, whose own inertial is removed")
     if math.isfinite(body.from_data):
         notes.append(f"{100.0 * body.from_data:.0f} % from data")
     if body.cannot_tell:

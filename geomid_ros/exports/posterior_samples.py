@@ -17,11 +17,11 @@ import yaml
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.suggested_motions import instants
-from geomid_ros.exports.descriptions import DESCRIPTIONS, UserMjcf, as_described, described_robot, read_user_mjcf
+from geomid_ros.exports.descriptions import DESCRIPTIONS, UserMjcf, as_described, read_user_mjcf
 from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effects_entries
-from geomid_ros.files.models.estimate_file import link_entry
+from geomid_ros.files.models.estimate_file import EstimateFile, link_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.posterior import (
     RTOL,
@@ -74,9 +74,13 @@ class DrawnRobots:
         """Coefficients of the effects, each with its values ``(N,)``."""
         return list(zip(self.posterior.effects, self.parameters[:, 10 * len(self.posterior.links) :].T, strict=True))
 
+    def inertias(self, number: int) -> dict[str, FloatArray]:
+        """Return parameters ``(10,)`` of the links of robot ``number``, see :meth:`ExportModel.as_links`."""
+        return self.model.as_links({name: values[number] for name, values in self.links.items()})
+
     def _robot(self, number: int) -> ExportModel:
         bodies, unknown = self.model.bodies, np.full(10, np.nan)
-        inertias = {name: values[number] for name, values in self.links.items()}
+        inertias = self.inertias(number)
         drawn = {name: replace(bodies[name], parameters=values, std=unknown) for name, values in inertias.items()}
         return replace(
             self.model,
@@ -129,9 +133,7 @@ def sample_robots(path: Path, count: int, seed: int, std_factor: float) -> Drawn
         raise InputError(f"{path}: not an estimate.json; it has no uncertainties to sample from")
     file = posterior_path(path)
     posterior = read_posterior(file)
-    check_matches_estimate(
-        posterior, file, {name: model.bodies[name].parameters for name in model.estimated}, model.source
-    )
+    check_matches_estimate(posterior, file, EstimateFile.read(path).inertias, model.source)
     drawn = posterior.draw(max(count, ENOUGH), np.random.default_rng(seed), std_factor)
     return DrawnRobots(model, posterior, drawn, count)
 
@@ -149,7 +151,7 @@ def descriptions_of(
         packages: folders of ROS packages, by name.
     """
     if tool == JSON:
-        entries = [_entries(robots, model) for model in robots]
+        entries = [_entries(robots, number, model) for number, model in enumerate(robots)]
         yield "robots.json", json.dumps({"format": 1, "robots": entries}) + "\n"
         return
     template = _template(robots.model, into, packages) if tool == MUJOCO else None
@@ -170,8 +172,8 @@ def _template(model: ExportModel, into: Path | None, packages: Mapping[str, Path
         template = read_user_mjcf(model, into)
         return replace(template, text=_with_absolute_folders(template.text, into))
     text = DESCRIPTIONS[MUJOCO].whole(as_described(model, packages)).text
-    joints = [joint.name for joint in model.tree.joints]
-    return UserMjcf(model.urdf_path, text, {name: np.eye(4) for name in model.estimated}, joints, ())
+    joints = {joint.name: dict[str, float]() for joint in model.tree.joints}
+    return UserMjcf(model.urdf_path, text, {name: np.eye(4) for name in model.written}, joints)
 
 
 def _with_absolute_folders(text: str, path: Path) -> str:
@@ -188,10 +190,10 @@ def _with_absolute_folders(text: str, path: Path) -> str:
     return f"{text[:end]}  <compiler {attributes}/>\n{text[end:]}"
 
 
-def _entries(robots: DrawnRobots, model: ExportModel) -> dict[str, Any]:
-    """Return links and effects of a robot as in ``estimate.json``."""
+def _entries(robots: DrawnRobots, number: int, model: ExportModel) -> dict[str, Any]:
+    """Return links and effects of robot ``number`` as in ``estimate.json``."""
     links = [
-        link_entry(name, merged, model.bodies[name].parameters)
+        link_entry(name, merged, robots.links[name][number])
         for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True)
     ]
     return {"links": links, **effects_entries(model.effects)}
@@ -229,7 +231,9 @@ def _band(values: FloatArray) -> list[float]:
 
 def _quantities(robots: DrawnRobots) -> dict[str, FloatArray]:
     """Quantities ``(N, 10)`` of the sampled links, by name."""
-    return {name: pseudo_inertia.quantities_of(parameters) for name, parameters in robots.links.items()}
+    drawn = [robots.inertias(number) for number in range(len(robots.parameters))]
+    links = {name: np.array([inertias[name] for inertias in drawn]) for name in robots.model.estimated}
+    return {name: pseudo_inertia.quantities_of(parameters) for name, parameters in links.items()}
 
 
 def _links(robots: DrawnRobots) -> dict[str, Any]:
@@ -309,7 +313,7 @@ class TorqueSpread:
 def torque_spread(robots: DrawnRobots) -> TorqueSpread:
     """Compute the variation of joint torques among sampled robots."""
     model = MeasurementModel(
-        described_robot(robots.model), [], local_effects=LoadedModel.read(robots.model.source).local_effects(())
+        robots.model.robot, [], local_effects=LoadedModel.read(robots.model.source).local_effects(())
     )
     motion = instants(model, moving=True)
     estimate = _in_order(model, robots, robots.posterior.parameters[None])[0]

@@ -96,6 +96,11 @@ def parameter_transform(rotation: FloatArray, translation: FloatArray) -> FloatA
     return to_parameters(factor @ from_parameters(np.eye(SIZE)) @ factor.T).T
 
 
+def moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:
+    """Return parameters ``(10,)`` in another frame; ``placement (4, 4)`` is the homogeneous matrix to it."""
+    return to_parameters(spd.congruence(placement, from_parameters(parameters)))
+
+
 def centre_of_mass(parameters: FloatArray) -> FloatArray:
     """Centre of mass ``(..., 3)`` in the link frame [m], of parameters ``(..., 10)``."""
     return parameters[..., 1:4] / parameters[..., :1]
@@ -122,8 +127,11 @@ def is_body(parameters: FloatArray) -> bool:
 
 
 def nearest_body(parameters: FloatArray) -> FloatArray:
-    """Return the parameters ``(10,)`` of a body with the same mass (above zero) and centre of mass. Its central second
-    moments are raised to at least those of a steel ball of this mass, because nothing in a robot is denser."""
+    """Return parameters ``(10,)`` of a body unchanged, or else those of one with the same mass (above zero) and centre
+    of mass. Its central second moments are raised to at least those of a steel ball of this mass, because nothing in a
+    robot is denser."""
+    if is_body(parameters):
+        return parameters
     mass = parameters[0]
     values, axes = np.linalg.eigh(_trace_complement(central_inertia(parameters), 0.5))
     least_moment = mass * least_gyration(mass) ** 2

@@ -75,6 +75,15 @@ def congruence(factor: FloatArray, matrix: FloatArray) -> FloatArray:
     return factor @ matrix @ np.swapaxes(factor, -1, -2)
 
 
+def transport_factor(base: FloatArray, point: FloatArray) -> FloatArray:
+    """Return E ``(..., n, n)`` with ``E base E^T = point``: ``E X E^T`` is X, transported parallel along the geodesic
+    between them."""
+    values, vectors = np.linalg.eigh(base)
+    root, inverse = (composed(power, vectors) for power in (np.sqrt(values), 1.0 / np.sqrt(values)))
+    values, vectors = np.linalg.eigh(congruence(inverse, point))
+    return np.asarray(root @ composed(np.sqrt(values), vectors) @ inverse)
+
+
 def relative_eigenvalues(base: FloatArray, point: FloatArray) -> FloatArray:
     """Eigenvalues of ``base^-1/2 point base^-1/2`` in ascending order, shape ``(..., n)``."""
     values, vectors = np.linalg.eigh(base)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model import urdf_tree
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, frozen
@@ -20,7 +20,8 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, frozen
 GRAVITY = np.array([0.0, 0.0, -9.81])
 STANDARD_GRAVITY = float(np.linalg.norm(GRAVITY))
 """[m/s^2]"""
-_DYNAMICS = "damping", "friction"
+_DYNAMICS = {"damping": 2, "friction": 1}
+"""Attributes, and the power of a mimic joint's factor in the effort of its master."""
 _PARALLEL = 0.99  # scalar product of two axes
 _MEETING = 2e-3  # [m] between axes that meet
 _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint of the URDF
@@ -33,6 +34,7 @@ class Body:
     Attributes:
         name: URDF link in whose frame the parameters are expressed.
         merged: Links with a mass that are fixed to it; their inertias are included.
+        locked: Those of them that move relative to it in the URDF, where a locked joint is not fixed.
         joint: Pinocchio's index of the joint that moves it; 0 if a mounted sensor fixes it to the world.
         parameters: ``(10,)`` in pinocchio's order.
         to_joint: Transform ``(10, 10)`` of parameters from the link's frame to the joint's frame.
@@ -40,6 +42,7 @@ class Body:
 
     name: str
     merged: tuple[str, ...]
+    locked: tuple[str, ...]
     joint: int
     parameters: FloatArray
     to_joint: FloatArray
@@ -104,9 +107,9 @@ class Robot:
         self.gravity = frozen(gravity)
         self.tree = urdf_tree.parse(urdf, source)
         self._first_joint = 2 if floating_base else 1
-        masters = _masters(self.tree, source)
+        masters = urdf_tree.masters(self.tree, source)
         fixed = {*locked_joints, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
-        self._locked = {*locked_joints, *(name for name, (master, _, _) in masters.items() if master in fixed)}
+        self.locked_joints = {*locked_joints, *(name for name, (master, _, _) in masters.items() if master in fixed)}
         """Joints to lock, including mimic joints whose master does not move."""
         self._model = self._without_locked(_build(urdf_tree.without_shapes(urdf, source), floating_base, source))
         self._model.gravity.linear = self.gravity
@@ -148,26 +151,32 @@ class Robot:
 
     @cached_property
     def described_dynamics(self) -> dict[tuple[str, str], float]:
-        """Values of the URDF's ``<dynamics>`` elements, by joint and attribute (``dynamics/damping``).
+        """Values of the URDF's ``<dynamics>`` elements, by joint and attribute (``dynamics/damping``). Those of mimic
+        joints are part of their masters', as their efforts are.
 
         Raises InputError if a value is not a number.
         """
-        return {
+        values = {
             (joint.get("name", ""), f"dynamics/{key}"): urdf_tree.read_numbers(
                 joint, "dynamics", (key,), [0.0], f"{self.source}: joint '{joint.get('name')}'"
             )[0]
             for joint in urdf_tree.read_xml(self.urdf, self.source).findall("joint")
             for key in _DYNAMICS
         }
+        for follower in self.mimic_joints:
+            for key, power in _DYNAMICS.items():
+                share = values.pop((follower.joint.name, f"dynamics/{key}")) * abs(follower.factor) ** power
+                values[self.joint_names[follower.master], f"dynamics/{key}"] += share
+        return values
 
     def _without_locked(self, model: pin.Model) -> pin.Model:
         indices = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
-        for name in sorted(self._locked):
+        for name in sorted(self.locked_joints):
             if name not in indices:
                 raise unknown_name("joint to lock", name, indices)
-        if not self._locked:
+        if not self.locked_joints:
             return model
-        return pin.buildReducedModel(model, [indices[name] for name in sorted(self._locked)], pin.neutral(model))
+        return pin.buildReducedModel(model, [indices[name] for name in sorted(self.locked_joints)], pin.neutral(model))
 
     def _moving_joints(self) -> tuple[Joint, ...]:
         types = {joint.name: joint.type for joint in self.tree.joints}
@@ -208,7 +217,7 @@ class Robot:
         return self._model.frames[self._model.getFrameId(link, pin.BODY)]
 
     def _is_fixed(self, joint: urdf_tree.UrdfJoint) -> bool:
-        return joint.type == "fixed" or joint.name in self._locked
+        return joint.type == "fixed" or joint.name in self.locked_joints
 
     def _rigid_group(self, link: str, cuts: set[str]) -> list[str]:
         group = [link]
@@ -225,9 +234,11 @@ class Robot:
         for link in massive:
             parameters += _transform(frame.placement.actInv(self._frame(link).placement)) @ self.tree.inertials[link]
         parameters = self._checked_parameters(head, massive, parameters)
+        above = {link: takewhile(lambda joint: joint.child != head, self.tree.joints_above(link)) for link in massive}
         return Body(
             head,
             tuple(link for link in massive if link != head),
+            tuple(link for link, joints in above.items() if any(joint.type != "fixed" for joint in joints)),
             frame.parentJoint,
             frozen(parameters),
             frozen(_transform(frame.placement)),
@@ -252,6 +263,44 @@ class Robot:
             f"least {1e3 * pseudo_inertia.least_gyration(mass):.2g} mm)"
         )
         return repaired
+
+    def as_links(self, inertias: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Parameters ``(10,)`` of links, in whose description no joint is locked, from ``inertias`` of bodies by name.
+
+        Links that are :attr:`~Body.locked` to a body were not identified by themselves: they keep their inertials,
+        which are subtracted from the body. If the rest is no possible body, all parts change as the body has: they are
+        transported parallel along the geodesic from the URDF's body to it, so that they are possible and add up to it.
+        """
+        links = dict(inertias)
+        for body in self.bodies:
+            if body.name in inertias and body.locked:
+                links |= self._divided(body, links.pop(body.name))
+        return links
+
+    def _divided(self, body: Body, whole: FloatArray) -> dict[str, FloatArray]:
+        placed = {link: self.fixed_placement(link, body.name) for link in (body.name, *body.merged)}
+        parts = {
+            link: spd.congruence(place, pseudo_inertia.from_parameters(pseudo_inertia.nearest_body(inertial)))
+            for link, place in placed.items()
+            if (inertial := self.tree.inertials.get(link, np.zeros(10)))[0] > 0.0
+        }
+        total, locked = pseudo_inertia.from_parameters(whole), [link for link in body.locked if link in parts]
+        rest = pseudo_inertia.to_parameters(total - sum(parts[link] for link in locked))
+        if pseudo_inertia.is_body(rest):
+            return {body.name: rest}
+        factor = spd.transport_factor(np.sum([*parts.values()], axis=0), total)
+        own = [part for link, part in parts.items() if link not in locked]
+        moved = {body.name: np.sum(own, axis=0)} if own else {}
+        moved |= {link: parts[link] for link in locked}
+        return {
+            link: pseudo_inertia.to_parameters(spd.congruence(np.linalg.inv(placed[link]) @ factor, part))
+            for link, part in moved.items()
+        }
+
+    def included_links(self, bodies: Collection[str]) -> list[str]:
+        """Links that are part of these ``bodies`` in a description, too: fixed to them, not locked."""
+        chosen = (body for body in self.bodies if body.name in bodies)
+        return [link for body in chosen for link in body.merged if link not in body.locked]
 
     @property
     def effort_limits(self) -> FloatArray:
@@ -527,25 +576,6 @@ class Robot:
             massive = joints[index, 0] > 0.0
             model.inertias[index] = pin.Inertia.FromDynamicParameters(joints[index]) if massive else pin.Inertia.Zero()
         return model
-
-
-def _masters(tree: urdf_tree.UrdfTree, source: str) -> dict[str, tuple[str, float, float]]:
-    """Return the final master of each mimic joint, with the overall factor and offset; without joints whose master does
-    not exist."""
-    by_name = {joint.name: joint for joint in tree.joints}
-    masters = {}
-    for first in (joint for joint in tree.joints if joint.type != "fixed"):
-        joint, factor, offset = first, 1.0, 0.0
-        for _ in tree.joints:
-            if joint.mimic is None or joint.mimic.master not in by_name:
-                break
-            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
-            joint = by_name[joint.mimic.master]
-        else:
-            raise InputError(f"{source}: joint '{first.name}' mimics itself")
-        if joint is not first:
-            masters[first.name] = joint.name, factor, offset
-    return masters
 
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:

@@ -36,7 +36,8 @@ _OTHER_FORMATS = {
     "sdf": ": an SDF model. Give the URDF or xacro that it was made from; 'gz sdf -p' converts only from URDF to SDF",
     "mujoco": ": an MJCF model. Give the robot's URDF; 'geomid export --for mujoco' writes results into an MJCF model",
 }
-_AXES = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
+AXES = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
+"""Number of axes by the type of a joint."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def tree(robot: Element, source: str) -> UrdfTree:
             raise InputError(f"{source}: {count} {kind}s, more than the maximum of {_MAX_LINKS}")
     links = tuple(_name(element, source) for element in robot.findall("link"))
     joints = tuple(_joint(element, source) for element in robot.findall("joint"))
-    axes = sum(_AXES[joint.type] for joint in joints)
+    axes = sum(AXES[joint.type] for joint in joints)
     if axes > _MAX_AXES:
         raise InputError(f"{source}: joints of {axes} axes, more than the maximum of {_MAX_AXES}")
     _refuse_duplicates(links, "link", source)
@@ -128,6 +129,25 @@ def tree(robot: Element, source: str) -> UrdfTree:
     massive = {name: parameters for name, parameters in inertials.items() if parameters is not None}
     things = [link.get("name", "") for link in robot.findall("link") if any(child.tag in _OF_THINGS for child in link)]
     return UrdfTree(links, joints, _root(links, joints, source), massive, frozenset(things))
+
+
+def masters(tree: UrdfTree, source: str) -> dict[str, tuple[str, float, float]]:
+    """Return the final master of each mimic joint, with the overall factor and offset; without joints whose master does
+    not exist. Raises InputError if one mimics itself."""
+    by_name = {joint.name: joint for joint in tree.joints}
+    found = {}
+    for first in (joint for joint in tree.joints if joint.type != "fixed"):
+        joint, factor, offset = first, 1.0, 0.0
+        for _ in tree.joints:
+            if joint.mimic is None or joint.mimic.master not in by_name:
+                break
+            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
+            joint = by_name[joint.mimic.master]
+        else:
+            raise InputError(f"{source}: joint '{first.name}' mimics itself")
+        if joint is not first:
+            found[first.name] = joint.name, factor, offset
+    return found
 
 
 def read_xml(text: str, source: str) -> Element:
@@ -227,8 +247,8 @@ def _joint(element: Element, source: str) -> UrdfJoint:
     if parent is None or child is None:
         raise InputError(f"{where} lacks a parent or a child link")
     kind = element.get("type", "")
-    if kind not in _AXES:
-        raise InputError(f"{where} is of the unknown type '{kind}'. Valid: {', '.join(_AXES)}")
+    if kind not in AXES:
+        raise InputError(f"{where} is of the unknown type '{kind}'. Valid: {', '.join(AXES)}")
     origin_of(element, where)
     if kind != "fixed" and not any(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where)):
         raise InputError(f"{where}: its <axis> has no direction")

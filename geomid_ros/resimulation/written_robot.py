@@ -47,6 +47,9 @@ class WrittenRobot:
                 raise InputError(f"{files.mjcf}: {unknown_name('joint', joint, names)}")
         self.dofs: IntArray = np.array([names[joint] for joint in joints], dtype=np.int64)
         self.gears = {names[name]: name for name in names if name.rpartition("/")[0] in joints}
+        # A joint that was locked stays where it is; one that mimics another follows it.
+        locked = {*names.values()}.difference(self.dofs.tolist(), self.gears, self.model.eq_obj1id.tolist())
+        self.model.dof_armature[sorted(locked)] = _IMMOVABLE
         self._read_effects(files)
         # Friction of a joint at rest; its change with motion is in sidecar_friction.
         self.model.dof_frictionloss[self.dofs] += self._rest_friction
@@ -227,10 +230,10 @@ def loaded_robots(files: Sequence[ModelFiles], joints: Sequence[str], measured: 
     return robots
 
 
-def _compiled(path: Path) -> Any:
-    """Compile the model in an MJCF. Raises InputError naming the file."""
+def _compiled(path: Path, text: str | None = None) -> Any:
+    """Compile the model in an MJCF, or another ``text`` in its place. Raises InputError naming the file."""
     try:
-        return load_mujoco().MjModel.from_xml_path(str(path))
+        return load_mujoco().MjModel.from_xml_path(str(path), {} if text is None else {str(path): text.encode()})
     except ValueError as error:
         raise InputError(f"{path}: MuJoCo cannot read this model ({' '.join(str(error).split())})") from error
 
@@ -248,19 +251,29 @@ def load_mujoco() -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class BodyFrames:
-    """Homogeneous matrices ``(4, 4)`` of ``bodies`` in the world by name, with all joints at zero, and their ``masses``
-    [kg]. For hinges and slides ``joints``: a point on the axis and its direction ``(2, 3)``.
+class CompiledMjcf:
+    """An MJCF as MuJoCo has compiled it.
+
+    Attributes:
+        bodies: homogeneous matrices ``(4, 4)`` of bodies in the world by name, with all joints at zero.
+        moving: masses [kg] of those that move, by name.
+        parents: names of the bodies that they are children of.
+        axes: of hinges and slides by name, a point on the axis and its direction ``(2, 3)``.
+        attributes: of hinges and slides by name, values by attribute.
+        gravity: ``(3,)`` in the world [m/s^2].
     """
 
     bodies: dict[str, FloatArray]
-    masses: dict[str, float]
-    joints: dict[str, FloatArray]
+    moving: dict[str, float]
+    parents: dict[str, str]
+    axes: dict[str, FloatArray]
+    attributes: dict[str, dict[str, float]]
+    gravity: FloatArray
 
 
-def body_frames(path: Path) -> BodyFrames:
-    """Read the frames of an MJCF. Raises InputError naming the file."""
-    mujoco, model = load_mujoco(), _compiled(path)
+def compile_mjcf(path: Path, text: str | None = None) -> CompiledMjcf:
+    """Compile an MJCF file, or another ``text`` in its place. Raises InputError naming the file."""
+    mujoco, model = load_mujoco(), _compiled(path, text)
     data = mujoco.MjData(model)
     single_axis = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
     indices = [index for index in range(model.njnt) if model.jnt_type[index] in single_axis]
@@ -270,6 +283,40 @@ def body_frames(path: Path) -> BodyFrames:
         model.body(index).name: pseudo_inertia.change_of_frame(data.xmat[index].reshape(3, 3), data.xpos[index])
         for index in range(1, model.nbody)
     }
-    joints = {model.joint(index).name: np.array([data.xanchor[index], data.xaxis[index]]) for index in indices}
-    masses = {name: float(model.body(name).mass[0]) for name in bodies}
-    return BodyFrames(bodies, masses, joints)
+    named = [model.body(index) for index in range(1, model.nbody)]
+    names = {index: model.joint(index).name for index in indices}
+    weightless = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    return CompiledMjcf(
+        bodies=bodies,
+        moving={body.name: float(body.mass[0]) for body in named if model.body_weldid[body.id]},
+        parents={body.name: model.body(body.parentid[0]).name for body in named},
+        axes={name: np.array([data.xanchor[index], data.xaxis[index]]) for index, name in names.items()},
+        attributes={name: joint_attributes(model, name) for name in names.values()},
+        gravity=np.zeros(3) if weightless else model.opt.gravity.copy(),
+    )
+
+
+def body_inertias(model: Any) -> dict[str, FloatArray]:
+    """Parameters ``(10,)`` of the bodies of a compiled model about the origins of their frames, by name."""
+    inertias = {}
+    for index in range(1, model.nbody):
+        rotation = np.zeros(9)
+        load_mujoco().mju_quat2Mat(rotation, model.body_iquat[index])
+        axes = rotation.reshape(3, 3)
+        inertia = axes @ np.diag(model.body_inertia[index]) @ axes.T
+        parameters = pseudo_inertia.assemble(model.body_mass[index], model.body_ipos[index], inertia)
+        inertias[model.body(index).name] = parameters
+    return inertias
+
+
+def joint_attributes(model: Any, name: str) -> dict[str, float]:
+    """Values of a hinge or slide of a compiled model by attribute."""
+    joint = model.joint(name)
+    (dof,), (place,) = joint.dofadr, joint.qposadr
+    return {
+        "damping": float(np.ravel(model.dof_damping[dof])[0]),
+        "frictionloss": float(model.dof_frictionloss[dof]),
+        "armature": float(model.dof_armature[dof]),
+        "stiffness": float(np.ravel(joint.stiffness)[0]),
+        "springref": float(model.qpos_spring[place]),
+    }

@@ -203,8 +203,18 @@ def identified_urdf(session: Session, estimate: Estimate) -> str:
 
 def with_inertias_of(session: Session, estimate: Estimate, written: WrittenModel) -> str:
     """Robot description with the inertias of an estimate's written model, and its original friction."""
-    merged = [name for link in estimate.links for name in link.merged]
-    return with_inertials(with_absolute_files(session.urdf, session.robot.source), written.inertias, merged)
+    links = session.robot.as_links(written.inertias)
+    shares = [name for name in links if name not in written.inertias]
+    note = f"{', '.join(shares)}: {_SHARES}"
+    session.review.settled += [note] if shares and note not in session.review.settled else []
+    whole = with_absolute_files(session.urdf, session.robot.source)
+    return with_inertials(whole, links, session.robot.included_links([link.name for link in estimate.links]))
+
+
+_SHARES = (
+    "behind a locked joint, and the URDF's inertial is not possible as a part of the body that was identified; in "
+    "files, the body is divided in the URDF's proportions"
+)
 
 
 def save(

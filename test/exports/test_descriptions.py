@@ -260,6 +260,80 @@ def test_a_spring_in_degrees_and_what_others_count_in(tmp_path: Path) -> None:
     assert any("tool" in sentence for sentence in whole.omissions)
 
 
+BOX = '<inertial pos="0 0 0" mass="0.8" diaginertia="1 1 1"/>'
+OWN = [
+    ('inertiafromgeom="false"', 'inertiafromgeom="true"', "mass of link2 31.3"),
+    ("</body>", f'<body name="box">{BOX}</body></body>', "mass of box 0.8 instead of 0"),
+    ('<joint name="joint2"', '<joint stiffness="25" name="joint2"', "stiffness of joint2 25 instead of 0"),
+    ("<joint solref", '<joint stiffness="25" solref', "stiffness of joint1 25 instead of 0"),
+    ('gravity="0.0 0.0 -9.81"', 'gravity="0 0 0"', "gravity [0.0, 0.0, 0.0] instead of [0.0, 0.0, -9.81]"),
+    (
+        "<option",
+        '<option><flag gravity="disable"/></option><option',
+        "gravity [0.0, 0.0, 0.0] instead of [0.0, 0.0, -9.81]",
+    ),
+]
+
+
+@pytest.mark.parametrize(("there", "own", "said"), OWN)
+def test_what_of_the_users_own_remains_is_said(there: str, own: str, said: str, tmp_path: Path) -> None:
+    model, path = written(tmp_path, EFFECTS), tmp_path / "own.xml"
+    text = mjcf(Robot(URDF), {}).replace(there, own, 1)
+    path.write_text(
+        re.sub('(<body name="link2".*?<inertial[^>]*/>)', r'\1<geom size="0.1955"/>', text, flags=re.DOTALL)
+    )
+    (sentence,) = patch_user_mjcf(model, path).omissions
+    assert said in sentence
+
+
+def test_a_spring_of_a_joint_that_slides_by_its_class(tmp_path: Path) -> None:
+    """Where angles are in degrees, its rest is in metres."""
+    path, urdf = tmp_path / "own.xml", URDF.replace('name="joint2" type="revolute"', 'name="joint2" type="prismatic"')
+    text = mjcf(Robot(urdf), {}).replace('type="slide"', 'class="rail"').replace('angle="radian"', "")
+    path.write_text(text.replace("<default>", '<default><default class="rail"><joint type="slide"/></default>'))
+    joint = mujoco.MjModel.from_xml_string(patch_user_mjcf(written(tmp_path, [SPRING], urdf), path).text).joint(
+        "joint2"
+    )
+    np.testing.assert_allclose([joint.stiffness[0], joint.qpos_spring[0]], [3.0, 0.5])
+
+
+def test_friction_of_a_users_joint_that_follows_is_its_masters(tmp_path: Path) -> None:
+    urdf = URDF.replace(
+        '<joint name="joint3" type="revolute">', '<joint name="joint3" type="revolute"><mimic joint="joint2"/>'
+    )
+    path = tmp_path / "own.xml"
+    path.write_text(mjcf(Robot(urdf), {}).replace("<joint solref", '<joint damping="9" armature="8" solref'))
+    whole = patch_user_mjcf(written(tmp_path, EFFECTS[1:2], urdf), path)
+    compiled = mujoco.MjModel.from_xml_string(whole.text)
+    assert compiled.joint("joint3").damping[0] == 0.0
+    assert "damping of joint3" not in whole.omissions[-1]
+
+
+@pytest.mark.parametrize("tool", DESCRIPTIONS)
+@pytest.mark.parametrize("factor", [1.3, 0.4])
+def test_a_joint_that_was_locked_moves_its_link(factor: float, tool: str, tmp_path: Path) -> None:
+    """The link has its inertial, or, if that is more than was identified, its share."""
+    robot = Robot(URDF, locked_joints=["joint3"])
+    inertias = {body.name: factor * body.parameters for body in robot.bodies}
+    write_model(tmp_path, MeasurementModel(robot, ()), URDF, inertias, [], robot.gravity)
+    model, whole = read_model(tmp_path / "estimate.json"), Robot(URDF)
+    last = whole.bodies[-1].parameters[0]
+    expected = [1.3 * robot.bodies[1].parameters[0] - last, last] if factor > 1.0 else None
+    text = exported(model, tool)
+    if tool == "mujoco":
+        compiled = [mujoco.MjModel.from_xml_string(each) for each in (text, (tmp_path / "identified.xml").read_text())]
+        moved = [[m.body(name).subtreemass[0] for name in whole.body_names] for m in compiled]
+        masses = [[first - second, second] for _, first, second in moved]
+        assert [m.njnt for m in compiled] == [3, 3]
+    else:
+        masses = [[body.parameters[0] for body in Robot(text).bodies[1:]]]
+    for found in masses:
+        assert len(found) == 2
+        assert sum(found) == pytest.approx(factor * robot.bodies[1].parameters[0])
+        assert min(found) > 0.0
+        assert expected is None or found == pytest.approx(expected)
+
+
 def test_another_robot_is_refused(tmp_path: Path) -> None:
     model, own = written(tmp_path, EFFECTS), tmp_path / "own.xml"
     text = mjcf(Robot(URDF), {})

@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from files.recordings import BAGS, QUICK
 
@@ -19,11 +20,13 @@ from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import described
 from geomid_ros.exports.handover import DescriptionTest, FileTest, ReadBack, read_mjcf_back, read_urdf_back
 from geomid_ros.exports.model import read_model
+from geomid_ros.exports.posterior_samples import sample_robots
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import for_drake, with_inertials
 from geomid_ros.files.models.written_model import written_model
 from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import save
 from geomid_ros.simulation import SimulationOptions, simulate
@@ -41,14 +44,14 @@ def handed(reader: str) -> DescriptionTest:
     return DescriptionTest(found().session, found().estimate, reader)
 
 
-def expected(reader: str) -> dict[str, float]:
+def expected(result: Identification, reader: str) -> dict[str, float]:
     """What the parameters that were fitted for a reader leave, errors of sensors apart, by the model's own rows."""
-    session, parameters = found().session, found().estimate.within[reader].copy()
+    session, parameters = result.session, result.estimate.within[reader].copy()
     first = len(session.model.nominal_inertias)
     for index, coefficient in enumerate(session.model.coefficients):
         if coefficient.effect.is_sensor_error:
             parameters[first + index] = 0.0
-    rms = session.rms(found().judged, parameters)
+    rms = session.rms(result.judged, parameters)
     return dict(zip((channel.name for channel in session.model.channels), rms.tolist(), strict=True))
 
 
@@ -57,8 +60,24 @@ def test_what_is_loaded_is_what_was_fitted(reader: str) -> None:
     if reader == "mujoco":
         pytest.importorskip("mujoco")
     judged = handed(reader).evaluate(found().judged, found().rms)
-    for name, alone in expected(reader).items():
+    for name, alone in expected(found(), reader).items():
         assert judged.alone[name] == pytest.approx(alone, rel=1e-4)
+
+
+def test_what_is_loaded_is_what_was_fitted_with_a_joint_locked(tmp_path: Path) -> None:
+    """It moves in the files, so that what is behind it has a mass; at zero, all is as it was fitted."""
+    mujoco = pytest.importorskip("mujoco")
+    result = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", lock=["joint3"], reader="mujoco")
+    result.save(tmp_path, report=False)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "identified.xml"))
+    assert model.njnt == 3
+    assert np.all(model.body_subtreemass > 0.0)
+    robot = pin.buildModelFromUrdf(str(tmp_path / "identified.urdf"))
+    assert np.linalg.eigvalsh(pin.crba(robot, robot.createData(), pin.neutral(robot)))[0] > 1e-6
+    (drawn,) = sample_robots(tmp_path / "estimate.json", 1, 0, 1.0)
+    assert len(Robot(drawn.urdf).bodies) == 3
+    for name, alone in expected(result, "mujoco").items():
+        assert result.handover.alone[name] == pytest.approx(alone, rel=1e-4)
 
 
 @cache
@@ -185,7 +204,8 @@ def test_an_earlier_estimate_is_exported_as_not_fitted(tmp_path: Path) -> None:
     del document["handover"]
     (tmp_path / "estimate.json").write_text(json.dumps(document))
     inertias = {link.name: link.parameters for link in found().links}
-    (tmp_path / "identified.urdf").write_text(with_inertials(found().session.urdf, inertias))
+    merged = [name for link in found().links for name in link.merged]
+    (tmp_path / "identified.urdf").write_text(with_inertials(found().session.urdf, inertias, merged))
     assert not read_model(tmp_path / "estimate.json", "mujoco").fitted
 
 

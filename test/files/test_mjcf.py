@@ -63,6 +63,7 @@ def test_the_dynamics_are_those_of_pinocchio(name: str) -> None:
     _, expected = Reference(description(name)).inverse_dynamics(samples, robot.joint_names)
     model = without_stops(compiled(mjcf(robot, {})))
     assert_equal(efforts(model, samples, robot.joint_names), expected, EXACT)
+    assert model.body_mass.sum() == pytest.approx(sum(own[0] for own in robot.tree.inertials.values()))
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -216,7 +217,8 @@ ODD = """<robot name="odd -- one">
   <joint name="rail &amp; slide" type="prismatic"><origin xyz="0 0 1" rpy="0.1 0.2 0.3"/><parent link="world"/>
     <child link="carriage"/><axis xyz="1 2 2"/><limit lower="-1" upper="1" effort="0" velocity="1"/></joint>
   <link name="carriage"/>
-  <joint name="turn" type="continuous"><parent link="carriage"/><child link="arm"/><axis xyz="0 3 0"/></joint>
+  <joint name="turn" type="continuous"><parent link="carriage"/><child link="arm"/><axis xyz="0 3 0"/>
+    <limit effort="7" velocity="1"/></joint>
   <link name="arm"><inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>
     <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/></inertial></link>
   <joint name="held" type="revolute"><origin xyz="0 0 0.3" rpy="0 1 0"/><parent link="arm"/><child link="hand"/>
@@ -227,12 +229,13 @@ ODD = """<robot name="odd -- one">
 
 
 def test_an_odd_robot() -> None:
-    """Massless moving links, a slide on a skew axis, a joint without limits, a locked one, odd names."""
+    """Massless moving links, a slide on a skew axis, a joint without limits, one that was locked, odd names."""
     robot = Robot(ODD, locked_joints=["held"])
     samples = random_samples(robot, 8)
     model = compiled(mjcf(robot, {}, [effect("viscous_friction", "rail & slide", coefficient=2.0)]))
-    assert [model.joint(index).name for index in range(model.njnt)] == ["rail & slide", "turn"]
-    assert list(model.jnt_limited) == [1, 0]
+    assert [model.joint(index).name for index in range(model.njnt)] == ["rail & slide", "turn", "held"]
+    assert list(model.jnt_limited) == [1, 0, 1]
+    np.testing.assert_array_equal(model.actuator_ctrlrange, [[0.0, 0.0], [-7.0, 7.0], [-5.0, 5.0]])
     locked = ODD.replace('name="held" type="revolute"', 'name="held" type="fixed"')
     _, expected = Reference(locked).inverse_dynamics(samples, robot.joint_names)
     expected[:, 0] += 2.0 * samples.velocity[:, 0]

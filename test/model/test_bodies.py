@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.urdf_tree import axes_of
@@ -120,6 +121,22 @@ def test_a_cut_divides_a_body(name: str, cut: str, whole: str) -> None:
         if body.name != whole:
             np.testing.assert_array_equal(new[body.name].parameters, body.parameters)
     assert (after.carrier(whole), after.carrier(cut)) == (whole, cut)
+
+
+@pytest.mark.parametrize(("factor", "kept"), [(1.5, True), (0.005, False)])
+def test_a_body_is_written_as_links_that_add_up_to_it(factor: float, kept: bool) -> None:
+    """Links behind locked joints keep the URDF's inertials if the rest is possible; else all have their shares."""
+    robot = Robot(urdf("panda.urdf"), locked_joints=["panda_finger_joint1", "panda_joint5"])
+    for body in (body for body in robot.bodies if body.locked):
+        own = pseudo_inertia.from_parameters(body.parameters)
+        stretch = np.diag([1.0, 1.2, 0.9, 1.0]) if not kept else np.eye(4)
+        whole = pseudo_inertia.to_parameters(factor * stretch @ own @ stretch)
+        links = robot.as_links({body.name: whole})
+        assert (links.keys() == {body.name}) == kept
+        links = {link: robot.tree.inertials[link] for link in body.locked} | links
+        assert all(map(pseudo_inertia.is_body, links.values()))
+        parts = [pseudo_inertia.moved(own, robot.fixed_placement(link, body.name)) for link, own in links.items()]
+        np.testing.assert_allclose(sum(parts), whole, rtol=0, atol=ROUNDING * np.max(np.abs(whole)))
 
 
 def test_locked_joints_stand_at_zero() -> None:

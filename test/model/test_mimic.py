@@ -8,8 +8,9 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.model.dynamics import Dynamics
-from geomid_ros.model.effects import EFFECTS, OnLink, identified_effect
+from geomid_ros.model.effects import EFFECTS, KnownEffect, OnLink, Quantity, identified_effect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -145,9 +146,12 @@ def test_one_that_follows_nobody_is_a_joint() -> None:
     assert Robot(text).joint_names == ("lift", "turn", "grip", "other_finger")
 
 
-def test_in_the_mjcf_they_are_tied_to_their_masters() -> None:
+@pytest.mark.parametrize("locked", [[], ["grip"], ["turn", "grip"]])
+def test_in_the_mjcf_they_are_tied_to_their_masters(locked: list[str]) -> None:
+    """Of which some were locked: in the file they move, with their own masses."""
     mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_string(mjcf(Robot(description(MASSES)), {}))
+    model = mujoco.MjModel.from_xml_string(mjcf(Robot(description(MASSES), locked_joints=locked), {}))
+    assert {name: model.body(f"{name}_link").mass[0] for name in MASSES} == pytest.approx(MASSES)
     assert model.nu == 3
     assert model.njnt == 6
     tied = {
@@ -159,6 +163,19 @@ def test_in_the_mjcf_they_are_tied_to_their_masters() -> None:
         ("crank", "turn"): (0.2, 0.5),
         ("crank_of_crank", "turn"): (pytest.approx(0.0), -0.25),
     }
+
+
+def test_friction_of_a_follower_is_its_masters() -> None:
+    """By virtual work; a file in which a master's was identified has none at its followers."""
+    text = description(MASSES).replace("<limit", '<dynamics damping="2" friction="3"/><limit')
+    described = Robot(text).described_dynamics
+    assert described["grip", "dynamics/damping"] == 4.0
+    assert described["grip", "dynamics/friction"] == 6.0
+    assert described["turn", "dynamics/damping"] == pytest.approx(2.0 * (1.0 + 0.5**2 + 0.25**2))
+    assert described["turn", "dynamics/friction"] == pytest.approx(3.0 * (1.0 + 0.5 + 0.25))
+    quantity = {"coefficient": Quantity(5.0, np.nan, "N m s/rad")}
+    written = with_effects(text, [KnownEffect("viscous_friction", "turn", "", quantity)])
+    assert Robot(written).described_dynamics == described | {("turn", "dynamics/damping"): 5.0}
 
 
 def test_no_effect_is_at_a_joint_that_follows() -> None:

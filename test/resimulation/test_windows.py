@@ -27,6 +27,7 @@ from geomid_ros.resimulation.resimulate import (
     resimulate,
     uniform_segments,
 )
+from geomid_ros.resimulation.written_robot import WrittenRobot
 from geomid_ros.types import FloatArray
 
 from .recordings import ARM, FLOOR, JOINTS, MODEL, PERIOD, Added, files, noise_example, recording
@@ -194,6 +195,16 @@ def test_joints_that_cannot_be_judged_follow_their_measured_motion(tmp_path: Pat
     assert {"joint1", "joint3"} == set(JOINTS) - simulated(
         files(tmp_path, "a"), files(tmp_path, "a"), braked
     ).after.keys()
+
+
+def test_a_joint_that_was_locked_stays_at_zero(tmp_path: Path) -> None:
+    locked = Robot(ARM, cuts=["wrist_ft"], locked_joints=["joint3"])
+    robot = WrittenRobot(files(tmp_path, "locked", robot=locked), JOINTS[:2])
+    data = robot.mujoco.MjData(robot.model)
+    data.qpos[robot.dofs], data.qvel[robot.dofs] = 0.5, 3.0
+    robot.mujoco.mj_forward(robot.model, data)
+    assert np.all(np.abs(data.qacc[robot.dofs]) > 1.0)
+    assert abs(data.joint("joint3").qacc[0]) < 1e-5
 
 
 def test_pauses_are_not_simulated_across(tmp_path: Path) -> None:

@@ -117,6 +117,18 @@ def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, 
     return attributes
 
 
+def of_followers(
+    attributes: Mapping[str, Mapping[str, float]], masters: Mapping[str, tuple[str, float, float]]
+) -> dict[str, dict[str, float]]:
+    """Zeros for the attributes of joints that mimic others, by their ``masters``: the ``attributes`` of these include
+    them, unless they have their own."""
+    return {
+        follower: dict.fromkeys(attributes[master].keys() - attributes.get(follower, {}).keys(), 0.0)
+        for follower, (master, _, _) in masters.items()
+        if master in attributes
+    }
+
+
 def unrepresentable(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
     """Effects in words that ``files`` (see :meth:`~geomid_ros.model.effects.ParameterForm.said_by`) cannot represent.
 

@@ -8,8 +8,8 @@ driven.
 
 from __future__ import annotations
 
+import itertools
 import math
-import re
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,7 +28,7 @@ from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, joints_of, val
 from geomid_ros.model.effects.situation import place_named
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.se3 import quaternion
-from geomid_ros.model.urdf_tree import origin_of, read_numbers, read_xml
+from geomid_ros.model.urdf_tree import AXES, masters, origin_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 _READ_BY_MUJOCO = (".stl", ".obj", ".msh")
@@ -126,6 +126,7 @@ _STEPS_PER_RADIAN = 4.0  # time steps per radian of an elastic joint's fastest o
 _CONSTRAINT_STEPS = 2.0
 # If a second hinge needs a rotor inertia and none is known: fraction of the distal inertia.
 _SMALL_ROTOR = 0.01
+_FRICTION = {"damping": "damping", "friction": "frictionloss"}  # MJCF attributes by those of a URDF's <dynamics>
 _MASSLESS = 1e-12  # [kg, kg m^2] MuJoCo requires a mass of every moving body
 
 
@@ -137,12 +138,13 @@ def mjcf(
     gravity: FloatArray | None = None,
     shapes: Shapes | None = None,
 ) -> str:
-    """MJCF of ``robot``. Its moving bodies have ``inertias (10,)`` by name, or the URDF's if none is given.
+    """MJCF of ``robot``. Its bodies have ``inertias (10,)`` by name, or the URDF's if none is given. No joint is
+    locked, and links that are fixed to the world have their inertials.
 
-    Dry friction and damping in the URDF are ignored; friction is among the ``effects`` or absent. ``gravity (3,)``
-    [m/s^2] is that of an upright base, the robot's unless given. Mounted ``sensors`` become a force and a torque sensor
-    named ``TOPIC/force`` and ``TOPIC/torque``. They measure, in the sensor's frame, the wrench from the proximal on the
-    distal part. Without ``shapes`` the MJCF has none.
+    Dry friction and damping in the URDF are ignored but for locked joints; friction is among the ``effects`` or absent.
+    ``gravity (3,)`` [m/s^2] is that of an upright base, the robot's unless given. Mounted ``sensors`` become a force
+    and a torque sensor named ``TOPIC/force`` and ``TOPIC/torque``. They measure, in the sensor's frame, the wrench from
+    the proximal on the distal part. Without ``shapes`` the MJCF has none.
     """
     upright_gravity = robot.gravity if gravity is None else gravity
     root = _Writer(robot, inertias, effects, upright_gravity).document(
@@ -161,12 +163,17 @@ class _Writer:
         self, robot: Robot, inertias: Mapping[str, FloatArray], effects: Iterable[KnownEffect], gravity: FloatArray
     ) -> None:
         self._robot = robot
-        self._bodies = {body.name: inertias.get(body.name, body.parameters) for body in robot.bodies}
+        bodies = {body.name: inertias.get(body.name, body.parameters) for body in robot.bodies}
+        included, inertials = robot.included_links(bodies), robot.tree.inertials
+        others = {name: own for name, own in inertials.items() if name not in included and own[0] > 0.0}
+        self._links = {name: pseudo_inertia.nearest_body(own) for name, own in others.items()} | robot.as_links(bodies)
         self._joints = joint_frames(robot.urdf, robot.source)
-        self._driven = set(robot.joint_names)
-        self._moving = self._driven.union(follower.joint.name for follower in robot.mimic_joints)
+        self._moving = [joint.name for joint in robot.tree.joints if AXES[joint.type] == 1]
+        self._masters = masters(robot.tree, robot.source)
         effects = list(effects)
         self._joint_attributes = defaultdict(dict[str, float], joint_attributes(effects, "joint"))
+        for name, key in itertools.product(robot.locked_joints, _FRICTION):
+            self._joint_attributes[name].setdefault(_FRICTION[key], robot.described_dynamics[name, f"dynamics/{key}"])
         # One entry per effect: two effects of a pair may have different ratios.
         tendons = (joint_attributes([effect], "tendon") for effect in effects)
         self._tendon_attributes = [(name, numbers) for pairs in tendons for name, numbers in pairs.items()]
@@ -205,8 +212,8 @@ class _Writer:
         if joint is not None:
             body.attrib |= _pose(joint.position, joint.rotation)
         moves = joint is not None and joint.name in self._moving
-        if link in self._bodies:
-            _add_inertial(body, self._bodies[link])
+        if link in self._links:
+            _add_inertial(body, self._links[link])
         elif moves:
             _add_inertial(body, _MASSLESS * np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
         if joint is not None and moves:
@@ -267,7 +274,7 @@ class _Writer:
 
     def _composite(self, link: str) -> FloatArray:
         """Pseudo-inertia ``(4, 4)`` of a link and its subtree, all joints at zero."""
-        total = pseudo_inertia.from_parameters(self._bodies.get(link, np.zeros(10)))
+        total = pseudo_inertia.from_parameters(self._links.get(link, np.zeros(10)))
         if link in self._payloads:
             total = total + pseudo_inertia.from_parameters(payload_parameters(self._payloads[link]))
         for joint in self._children(link):
@@ -276,8 +283,9 @@ class _Writer:
         return total
 
     def _motors(self) -> Iterator[Element]:
-        """Yield motors of the driven joints."""
-        for joint in (joint for joint in self._joints if joint.name in self._driven):
+        """Yield motors of the joints that mimic no other."""
+        driven = {*self._moving} - self._masters.keys()
+        for joint in (joint for joint in self._joints if joint.name in driven):
             motor = Element("motor", name=joint.name, joint=joint.name)
             if math.isfinite(joint.effort):
                 motor.attrib |= {"ctrllimited": "true", "ctrlrange": number_text([-joint.effort, joint.effort])}
@@ -285,10 +293,11 @@ class _Writer:
 
     def _followers(self) -> Iterator[Element]:
         """Yield equality constraints of joints that mimic others."""
-        for follower in self._robot.mimic_joints:
-            polynomial = number_text([follower.offset, follower.factor, 0.0, 0.0, 0.0])
-            master = self._robot.joint_names[follower.master]
-            yield Element("joint", joint1=follower.joint.name, joint2=master, polycoef=polynomial)
+        for follower, (master, factor, offset) in self._masters.items():
+            polynomial = number_text([offset, factor, 0.0, 0.0, 0.0])
+            joint2 = {"joint2": master} if master in self._moving else {}
+            if follower in self._moving:
+                yield Element("joint", {"joint1": follower, **joint2, "polycoef": polynomial})
 
     def _tendons(self) -> Iterator[Element]:
         """Yield effects on two joints together, as fixed tendons along their weighted sum."""
@@ -338,7 +347,6 @@ def inertial_attributes(parameters: FloatArray) -> dict[str, str]:
 
 _WORLD = ["mujoco", "worldbody"]
 _NOTHING = b'<inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/>'
-_RADIANS = re.compile(r"""<compiler\b[^>]*\sangle\s*=\s*["']radian["']""")
 
 
 def with_identified(
@@ -346,6 +354,7 @@ def with_identified(
     bodies: Mapping[str, FloatArray],
     joints: Mapping[str, Mapping[str, float]],
     emptied: Collection[str] = (),
+    in_degrees: Collection[str] = (),
 ) -> str:
     """Insert identified values into an MJCF.
 
@@ -354,6 +363,7 @@ def with_identified(
         bodies: inertial parameters ``(10,)`` of bodies by name, in their own frames.
         joints: attributes of joints by name, angles in radians.
         emptied: bodies that become massless, as the inertias of others include them.
+        in_degrees: joints with angles in degrees.
     """
     data = mjcf.encode()
     places = spans_of(data, _WORLD, "body", "inertial", deeper=True)
@@ -365,8 +375,7 @@ def with_identified(
     edits += [insertion(data, places[name], _NOTHING) for name in emptied]
     for name, numbers in joints.items():
         start, end = tags[name].tag
-        slides = re.search(rb"""\stype\s*=\s*["']slide""", data[start:end])
-        turns = {} if slides or _RADIANS.search(mjcf) else {"springref": 180.0 / np.pi}
+        turns = {"springref": 180.0 / np.pi} if name in in_degrees else {}
         words = {key: repr(float(value * turns.get(key, 1.0))) for key, value in sorted(numbers.items())}
         edits.append((start, end, with_attributes(data[start:end], words)))
     return edited(data, edits).decode()

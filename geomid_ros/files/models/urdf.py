@@ -22,11 +22,17 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effects_file import is_payload, joint_attributes, payload_name, payload_parameters
+from geomid_ros.files.models.effects_file import (
+    is_payload,
+    joint_attributes,
+    of_followers,
+    payload_name,
+    payload_parameters,
+)
 from geomid_ros.files.models.xml_edits import Edit, Span, edited, end_of_tag, insertion, spans_of, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
-from geomid_ros.model.urdf_tree import MOST_URDF_BYTES, origin_of, read_numbers, read_xml
+from geomid_ros.model.urdf_tree import MOST_URDF_BYTES, masters, origin_of, parse, read_numbers, read_xml
 from geomid_ros.signals.settings import LONGEST_REASON
 from geomid_ros.types import FloatArray
 
@@ -138,13 +144,18 @@ def _inertial(parameters: FloatArray) -> bytes:
 def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
     """Insert the effects that a URDF can represent into ``urdf``; every other character is kept.
 
-    Values for the same attribute of a joint's ``<dynamics>`` are added up. A payload becomes a link fixed to the link
-    that carries it.
+    Values for the same attribute of a joint's ``<dynamics>`` are added up. Those of a joint include what its mimic
+    joints had. A payload becomes a link fixed to the link that carries it.
     """
-    data = urdf.encode()
+    data, source = urdf.encode(), "robot description"
     effects = list(effects)
+    attributes = joint_attributes(effects, "dynamics")
     joints, links = spans_of(data, _ROBOT, "joint", "dynamics"), spans_of(data, _ROBOT, "link", "inertial")
-    edits = [_dynamics(data, joints[name], numbers) for name, numbers in joint_attributes(effects, "dynamics").items()]
+    for name, zeros in of_followers(attributes, masters(parse(urdf, source), source)).items():
+        element = data[slice(*span)] if (span := joints[name].child) else b""
+        there = {key: zero for key, zero in zeros.items() if re.search(rb"\s" + key.encode() + rb"\s*=", element)}
+        attributes[name] = attributes.get(name, {}) | there
+    edits = [_dynamics(data, joints[name], numbers) for name, numbers in attributes.items() if numbers]
     end = data.rindex(b"</robot")
     payloads = [_payload(effect, links, joints) for effect in effects if is_payload(effect)]
     edits.append((end, end, b"".join(payloads)))
@@ -278,10 +289,11 @@ def _joint_frame(element: Element, source: str) -> JointFrame:
     where = f"{source}: joint '{name}'"
     position, rotation = origin_of(element, where)
     axis = np.array(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where))
-    lower, upper, effort = -math.inf, math.inf, math.inf
-    if kind in ("revolute", "prismatic"):
-        limits = (read_numbers(element, "limit", (key,), [0.0], where) for key in ("lower", "upper", "effort"))
-        (lower,), (upper,), (effort,) = limits
+    (lower,), (upper,), (effort,) = (
+        read_numbers(element, "limit", (key,), [0.0], where) for key in ("lower", "upper", "effort")
+    )
+    if kind not in ("revolute", "prismatic"):
+        lower, upper = -math.inf, math.inf
     return JointFrame(
         name=name,
         slides=kind == "prismatic",

@@ -81,7 +81,7 @@ def write_model(
     models = {name: fitted.get(name, full) for name in READERS}
     alone = {name: replace(m, effects=tuple(_with_folded(m.effects, m.folded))) for name, m in models.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in inertias}
-    removed = [name for names in merged.values() for name in names]
+    links, removed = model.robot.as_links(alone[URDF].inertias), model.robot.included_links(inertias)
     document = {
         "format": FORMAT,
         "links": [link_entry(name, merged[name], m) for name, m in inertias.items()],
@@ -94,7 +94,7 @@ def write_model(
     write_json(folder / ESTIMATE, document | dict(noise))
     of_urdf, of_mjcf = alone[URDF], alone["mujoco"]
     whole = with_absolute_files(urdf, model.robot.source)
-    write_text(folder / IDENTIFIED, with_effects(with_inertials(whole, of_urdf.inertias, removed), of_urdf.effects))
+    write_text(folder / IDENTIFIED, with_effects(with_inertials(whole, links, removed), of_urdf.effects))
     write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity))
     of_sidecar = with_same_files(reader)
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, models[of_sidecar].effects, alone[of_sidecar].effects)
