@@ -8,13 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.api.options import FeedforwardOptions, FillOptions
-from geomid_ros.api.robot import configuration, description, identified_urdf_path
+from geomid_ros.api.robot import DescribedRobot, configuration, description, identified_urdf_path
 from geomid_ros.control.feedforward import MotorEfforts, interpolation_errors, with_efforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.trajectories import read_trajectory, save_trajectory, trajectory_in_bag
+from geomid_ros.model.channels import WrenchSensor
+from geomid_ros.model.urdf_tree import parse
 from geomid_ros.options import takes
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import DescriptionOptions, PathLike
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -102,10 +105,13 @@ def robot_to_move(options: FillOptions, model: PathLike | None) -> Session:
     """Return the robot with its model. Raises InputError if there is none, or it is doubtful and not forced."""
     if model is None and options.urdf is None:
         raise InputError("no robot is given: give a model (estimate.json), or a urdf for the URDF alone")
-    if model is not None:
-        _check_model(options, EstimateFile.read(Path(model)))
-    robot = description(options, [], model)
-    session = Session(robot.text, configuration(options, model, candidates=[]), robot.source)
+    file = None if model is None else EstimateFile.read(Path(model))
+    if file is not None:
+        _check_model(options, file)
+    robot, parameters = description(options, [], model), configuration(options, model, candidates=[])
+    if file is not None:
+        parameters = _with_sensors_of(file, parameters, robot)
+    session = Session(robot.text, parameters, robot.source)
     if session.loaded.warning and not options.force:
         raise InputError(f"{session.loaded.warning}; to move a robot by it all the same, set force")
     return session
@@ -120,6 +126,17 @@ def _check_model(options: DescriptionOptions, file: EstimateFile) -> None:
         )
     if options.urdf is None and not identified_urdf_path(file.source).is_file():
         raise InputError(f"{file.source}: identified.urdf is missing in the same folder; give the urdf")
+
+
+def _with_sensors_of(file: EstimateFile, parameters: Configuration, robot: DescribedRobot) -> Configuration:
+    """Add the mounted wrench sensors with which a model was identified: there, links that are fixed to each other are
+    separate bodies. Nothing is read from them."""
+    divided = {link.name for link in file.links} - {sensor.frame for sensor in parameters.sensors}
+    joints = parse(robot.text, robot.source).joints
+    frames = [joint.child for joint in joints if joint.type == "fixed" and joint.child in divided]
+    return parameters.with_sensors(
+        [*parameters.sensors, *(WrenchSensor(f"/{frame}", frame, "mounted") for frame in frames)]
+    )
 
 
 def _check_limits(trajectory: Trajectory, limits: FloatArray, source: str) -> None:

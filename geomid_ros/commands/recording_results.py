@@ -86,11 +86,10 @@ def _tracking(tracking: Tracking, name: str) -> str:
 
 def _links_table(file: EstimateFile, links: Sequence[LinkEstimate]) -> Table:
     """Table of mass, centre of mass, their standard deviations and their source: data or prior."""
-    table = plain_table("Links")
-    table.add_column("\nlink", overflow="fold", min_width=14)
+    table = plain_table("Links", ["\nlink"])
     headings = ("mass [kg]\nURDF", "\nidentified", "centre of\nmass [m]", "from\ndata", "dist. to\nprior")
     number_columns(table, headings)
-    table.add_column("not\nidentified", min_width=10)
+    table.add_column("not\nidentified")
     for link in links:
         names = lines([link.name, *(f"+ {name}" for name in link.merged)])
         masses = f"{file.urdf_masses[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
@@ -254,7 +253,7 @@ def _length(value: float, end: float) -> int:
 
 def _simulated_table(simulation: Resimulated) -> Table:
     mode = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
-    table = plain_table(f"Resimulation {mode}\n(error in units of the noise)", ["channel"], ["before", "after"])
+    table = plain_table(f"Resimulation {mode} (error in units of the noise)", ["channel"], ["before", "after"])
     for name, before in simulation.before.items():
         table.add_row(name, gap_words.ratio(before), gap_words.ratio(simulation.after[name]))
     return table

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from rich import box
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from geomid_ros import options
@@ -61,13 +63,61 @@ def print_written(files: Sequence[Path], folder: Path, *, report: bool) -> None:
 
 
 class _PlainTable(Table):
+    """A table without lines between rows. What is wider than the console continues below, after the first text columns
+    that still fit."""
+
+    def __init__(self, heading: str) -> None:
+        super().__init__(box=box.SIMPLE_HEAD, pad_edge=False)
+        self._heading = heading
+
     def add_row(self, *cells: RenderableType | None, **style: Any) -> None:
         super().add_row(*(one_line(cell) if isinstance(cell, str) else cell for cell in cells), **style)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        if self._heading:
+            yield Text(self._heading, "bold")
+        widths = [_widths(column, console, options) for column in self.columns]
+        texts = next((index for index, column in enumerate(self.columns) if column.no_wrap), 0)
+        shown = [0]
+        for index in range(1, len(widths)):
+            if len(shown) > 1 and _left(widths, [*shown, index], options) < 0:
+                yield self._part(shown, widths, options)
+                shown = [*range(min(texts, index))] or [0]
+                while len(shown) > 1 and _left(widths, [*shown, index], options) < 0:
+                    shown.pop()
+            shown.append(index)
+        yield self._part(shown, widths, options)
+
+    def _part(self, shown: Sequence[int], widths: Sequence[tuple[int, int]], options: ConsoleOptions) -> Table:
+        """Return some columns as a table. The first ones get the width that is left."""
+        part = Table(box=self.box, pad_edge=self.pad_edge)
+        part.rows = self.rows
+        left = max(0, _left(widths, shown, options))
+        for place, index in enumerate(shown):
+            smallest, natural = widths[index]
+            width = smallest + min(left, natural - smallest)
+            left -= width - smallest
+            column = replace(self.columns[index], _index=place, width=width, no_wrap=False, overflow="fold")
+            part.columns.append(column)
+        return part
+
+
+def _widths(column: Column, console: Console, options: ConsoleOptions) -> tuple[int, int]:
+    """Smallest and natural width of a column. Numbers are not broken, nor are words up to a third of the console."""
+    cells = [Measurement.get(console, options, cell) for cell in (column.header, *column.cells)]
+    natural = max(cell.maximum for cell in cells)
+    smallest = min(max(cell.minimum for cell in cells), options.max_width // 3)
+    return natural if column.no_wrap else smallest, natural
+
+
+def _left(widths: Sequence[tuple[int, int]], shown: Sequence[int], options: ConsoleOptions) -> int:
+    """Width that the smallest table of some columns leaves; columns are three characters apart, with one at the end."""
+    return options.max_width + 1 - sum(widths[index][0] + 3 for index in shown)
 
 
 def plain_table(title: str, texts: Sequence[str] = (), numbers: Sequence[str] = ()) -> Table:
     """Create a table without lines between rows: text columns with these headings, then number columns."""
-    table = _PlainTable(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = _PlainTable(title)
     for heading in texts:
         table.add_column(heading, overflow="fold")
     number_columns(table, numbers)
@@ -75,9 +125,9 @@ def plain_table(title: str, texts: Sequence[str] = (), numbers: Sequence[str] = 
 
 
 def number_columns(table: Table, headings: Sequence[str]) -> None:
-    """Add columns of numbers, which are wrapped rather than truncated."""
+    """Add columns of numbers, which are never wrapped."""
     for heading in headings:
-        table.add_column(heading, justify="right", overflow="fold")
+        table.add_column(heading, justify="right", no_wrap=True)
 
 
 @contextmanager

@@ -29,7 +29,7 @@ from geomid_ros.exports import formats
 from geomid_ros.exports.model import ExportModel, payload_link
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import joint_attributes, of_followers, tilted_gravity, unrepresentable
-from geomid_ros.files.models.mjcf import with_identified
+from geomid_ros.files.models.mjcf import mjcf, mjcf_shapes, with_identified
 from geomid_ros.files.models.readers import ELEMENTS, EXISTING_MJCF
 from geomid_ros.files.models.urdf import for_drake, for_gazebo, joint_frames, with_effects
 from geomid_ros.geometry import pseudo_inertia
@@ -149,11 +149,7 @@ def _drake(robot: RobotToDescribe) -> DescriptionFiles:
 
 
 def _mujoco(robot: RobotToDescribe) -> DescriptionFiles:
-    # These imports take as long as all others, and only an MJCF needs them.
-    from geomid_ros.files.models.mjcf import mjcf, mjcf_shapes  # noqa: PLC0415
-    from geomid_ros.files.shapes import MeshFinder  # noqa: PLC0415
-
-    shapes = mjcf_shapes(robot.urdf, str(robot.path), MeshFinder(robot.path, robot.packages).find)
+    shapes = mjcf_shapes(robot.urdf, robot.path, robot.packages)
     missing = list(dict.fromkeys(shapes.missing))
     summary = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
     text = mjcf(robot.read(), {}, robot.effects, gravity=robot.gravity, shapes=shapes)

@@ -17,7 +17,7 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.effects_file import combined, write_sidecar
 from geomid_ros.files.models.estimate_file import by_channel
-from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.files.models.mjcf import mjcf, mjcf_shapes
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.written_model import ModelFiles, WrittenModel, with_shifted_parameters, write_model
 from geomid_ros.gap.result import GapResult
@@ -47,7 +47,8 @@ def write_found(folder: Path, session: Session, result: GapResult, reader: str =
     before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
     after = dict(zip(session.model.body_names, result.inertias, strict=True))
     fitted = {name: _changed(model, before, after, result) for name, model in session.loaded.fitted_models.items()}
-    files = {"folded": result.folded, "fitted": fitted, "reader": reader}
+    shapes = mjcf_shapes(session.urdf, Path(session.source))
+    files = {"folded": result.folded, "fitted": fitted, "reader": reader, "shapes": shapes}
     return _write(folder, session, result.inertias, effects, noise=noise, **files)
 
 

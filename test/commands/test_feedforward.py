@@ -38,6 +38,14 @@ def test_a_trajectory_comes_back_with_efforts(model: Path, tmp_path: Path) -> No
         assert float(row.split()[2]) == pytest.approx(effort, rel=1e-3)
 
 
+def test_a_model_with_a_sensor_at_the_wrist_needs_no_further_word(wrist: Path, tmp_path: Path) -> None:
+    """The bodies that the sensor divides are in the model."""
+    command = ("feedforward", sent(tmp_path), "--model", wrist / "estimate.json", "--out", tmp_path / "out.yaml")
+    sensor = {"wrenches": ["wrench"], "wrench.wrench.frame": "wrist_ft"}
+    (tmp_path / "sensor.yaml").write_text(json.dumps({"/**": {"ros__parameters": sensor}}))
+    assert done(*command) == done(*command, "--config", tmp_path / "sensor.yaml")
+
+
 def test_a_doubtful_model_moves_a_robot_only_by_force(model: Path, tmp_path: Path) -> None:
     document = json.loads(model.read_text())
     document["verdict"] = {"result": "doubtful", "reasons": ["joint2 seems to be reversed"]}

@@ -219,15 +219,30 @@ def test_an_effect_of_two_numbers_stands_once(tmp_path: Path) -> None:
     assert others.count("Stribeck friction") == 3
 
 
-def test_a_narrow_table_loses_neither_names_nor_digits() -> None:
-    """What was cut is another number."""
-    table = plain_table("Joint effects", ["joint"], [f"friction {number}" for number in range(8)])
-    table.add_row("elbow", *(f"{12.5 + number:.3g} ± 1e+01" for number in range(8)))
+@pytest.mark.parametrize("width", [80, 60, 40])
+def test_a_narrow_table_keeps_names_and_numbers_whole(width: int) -> None:
+    """What was cut is another number. Columns without room continue below, after what the rows are called."""
+    title, rows, numbers = "Joint effects of an arm", ("elbow_joint", "wrist"), range(8)
+    table = plain_table(title, ["joint", "what"], [f"friction {number}" for number in numbers])
+    table.add_column("not identified")
+    for name in rows:
+        table.add_row(name, "at_rest", *(f"{12.5 + number:.3g} ± 1e+01" for number in numbers), "everything")
     output = StringIO()
-    Console(width=80, file=output).print(table)
-    printed = output.getvalue().split()
-    assert {"elbow", *(f"{12.5 + number:.3g}" for number in range(8))} <= {*printed}
-    assert printed.count("1e+01") == 8
+    Console(width=width, file=output).print(table)
+    printed = output.getvalue().splitlines()
+    assert printed[0] == title
+    assert all(len(line) <= width for line in printed)
+    for name in rows:
+        text = "   ".join(line for line in printed if line.startswith(f" {name} "))
+        assert all(f" {12.5 + number:.3g} ± 1e+01 " in text for number in numbers)
+        assert "   everything" in text
+        assert text.count("at_rest") == text.count(f" {name}   ") > 1
+
+
+def test_a_title_is_no_narrower_than_the_console() -> None:
+    title, output = "Resimulation in short windows (error in units of the noise)", StringIO()
+    Console(width=60, file=output).print(plain_table(title, ["channel"], ["before", "after"]))
+    assert output.getvalue().startswith(f"{title}\n")
 
 
 def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:

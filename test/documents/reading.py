@@ -17,6 +17,7 @@ DOCUMENTS = [*_OUTSIDE, *sorted(str(path.relative_to(ROOT)) for path in PAGES.rg
 
 _FENCED = re.compile(r"^(<!-- run -->\n)?```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _INDENTED = re.compile(r"(?:^    .*\n)+", re.MULTILINE)
+_COMMAND = re.compile(r"^    (geomid .+)$", re.MULTILINE)
 _SPAN = re.compile(r"`([^`\n]+)`")
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 
@@ -44,6 +45,13 @@ def blocks(document: str) -> list[Block]:
     fenced = [Block(language, code, bool(mark)) for mark, language, code in _FENCED.findall(text)]
     indented = _INDENTED.findall(re.sub(r"^[-*0-9].*\n(?:  .*\n)*", "", _FENCED.sub("", text), flags=re.MULTILINE))
     return fenced + [Block("", re.sub(r"^    ", "", code, flags=re.MULTILINE)) for code in indented]
+
+
+def outputs(document: str) -> list[tuple[str, str]]:
+    """What blocks of output show that say that they run, each with the command above it that prints it."""
+    text = text_of(document)
+    shown = [match for match in _FENCED.finditer(text) if match[1] and match[2] == "text"]
+    return [(_COMMAND.findall(text[: match.start()])[-1], match[3]) for match in shown]
 
 
 def spans(document: str) -> list[str]:

@@ -8,8 +8,9 @@ import json
 import re
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import chdir
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import click
 import numpy as np
 import pytest
 import yaml
+from commands.running import done, undrawn
 
 import geomid_ros
 from geomid_ros.commands import root
@@ -24,7 +26,7 @@ from geomid_ros.estimation import paper_estimator
 from geomid_ros.session.configuration import PARAMETERS, Configuration
 from geomid_ros.simulation import EFFECTS, NOTHING, parse_hidden
 
-from .reading import DOCUMENTS, NOTEBOOK, ROOT, Block, blocks, cells, spans, text_of
+from .reading import DOCUMENTS, NOTEBOOK, ROOT, Block, blocks, cells, outputs, spans, text_of
 
 REFERENCE = text_of("docs/pages/reference.md")
 NODE = set(re.findall(r"`(~/[\w/]+)`", REFERENCE))
@@ -143,17 +145,69 @@ def test_every_python_block_runs() -> None:
     assert {document for document, block in of_language("python") if block.runs} == PRINTED.keys()
 
 
+def user_s_folder(path: Path) -> Path:
+    """With the bags that come with the package, one of which is the user's."""
+    for name, file in (("bags", "bags"), ("my_bag", "bags/arm3"), ("robot.urdf", "bags/arm3.urdf")):
+        (path / name).symlink_to(ROOT / file)
+    return path
+
+
 @pytest.mark.parametrize("document", PRINTED)
 def test_what_says_that_it_runs_does(document: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Block after block, beside the bags that come with the package; one of them is the user's."""
-    for name, file in (("bags", "bags"), ("my_bag", "bags/arm3"), ("robot.urdf", "bags/arm3.urdf")):
-        (tmp_path / name).symlink_to(ROOT / file)
+    """Block after block."""
     names: dict[str, Any] = {}
-    with chdir(tmp_path):
-        for block in (block for block in blocks(document) if block.runs):
+    with chdir(user_s_folder(tmp_path)):
+        for block in (block for block in blocks(document) if block.language == "python" and block.runs):
             exec(compile(block.text, document, "exec"), names)
     printed = capsys.readouterr().out
     assert all(words in printed for words in PRINTED[document])
+
+
+@pytest.fixture(scope="module")
+def printed_by(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
+    """What a command prints, which runs once."""
+    folder = user_s_folder(tmp_path_factory.mktemp("user"))
+
+    @cache
+    def run(command: str) -> str:
+        with chdir(folder), pytest.MonkeyPatch.context() as patch:
+            undrawn(patch)
+            return done(*shlex.split(command)[1:])
+
+    return run
+
+
+def test_every_output_is_printed_again() -> None:
+    """But for what a node, a simulation or a search of many seconds prints, and for files of other programs."""
+    elsewhere = {Path(document).stem for document, block in of_language("text") if not block.runs}
+    other = {"adaptation", "excite", "feedforward", "gap", "identify", "node", "payload", "sample", "simulate"}
+    assert elsewhere == other
+
+
+@pytest.mark.parametrize("document", [document for document in DOCUMENTS if outputs(document)])
+def test_output_is_what_the_command_above_it_prints(document: str, printed_by: Callable[[str], str]) -> None:
+    """Line after line, however they are wrapped; others of the command's lines may be left out between them."""
+    for command, text in outputs(document):
+        printed, place = words_of(printed_by(command)), 0
+        known = [masked(word) for word in printed]
+        for words in filter(None, map(words_of, text.splitlines())):
+            looked_for, count = [masked(word) for word in words], len(words)
+            places = (k for k in range(place, len(known)) if known[k : k + count] == looked_for)
+            place = next(places, -1)
+            assert place >= 0, f"{document}: '{command}' does not print: {' '.join(words)}"
+            same(" ".join(words), " ".join(printed[place : place + count]))
+            place += count
+
+
+def words_of(text: str) -> list[str]:
+    return [word for word in text.split() if word.strip("─")]
+
+
+NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?")
+
+
+def masked(text: str) -> str:
+    return NUMBER.sub("0", text)
 
 
 def said_by(cells_of_code: list[dict[str, Any]]) -> str:
@@ -164,9 +218,8 @@ def said_by(cells_of_code: list[dict[str, Any]]) -> str:
 
 def same(written: str, printed: str) -> None:
     """Texts in which nothing differs but the last digit of a number, which is not the same on all machines."""
-    number = r"\d+(?:\.\d+)?"
-    assert re.sub(number, "0", written) == re.sub(number, "0", printed)
-    for old, new in zip(re.findall(number, written), re.findall(number, printed), strict=True):
+    assert masked(written) == masked(printed)
+    for old, new in zip(NUMBER.findall(written), NUMBER.findall(printed), strict=True):
         last = 10.0 ** -len(new.partition(".")[2])
         assert abs(float(old) - float(new)) <= 1.01 * last, (written, old, new)
 

@@ -53,6 +53,8 @@ def test_a_link_is_heavier_and_lighter_in_each_file_by_what_it_is_in_the_model(t
         np.testing.assert_allclose(file.inertias[name], now[name], atol=1e-12, err_msg=name)
     in_urdf = {body.name: body.parameters[0] for body in Robot(read_urdf(tmp_path / "found/identified.urdf")).bodies}
     assert in_urdf == pytest.approx({name: own[0] for name, own in expected.items()}, rel=1e-8)
+    shapes = ElementTree.fromstring(ARM).findall("link/*/geometry")
+    assert len(ElementTree.parse(tmp_path / "found/identified.xml").findall(".//geom")) == len(shapes) > 0
 
 
 @pytest.mark.parametrize("fitted", [False, True])

@@ -14,6 +14,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
@@ -48,15 +49,17 @@ class Shapes:
     missing: list[str] = field(default_factory=list)
 
 
-def mjcf_shapes(urdf: str, source: str, find: Callable[[str, str], Path]) -> Shapes:
+def mjcf_shapes(urdf: str, path: Path, packages: Mapping[str, Path] = MappingProxyType({})) -> Shapes:
     """Convert the shapes of a URDF's links.
 
     Args:
         urdf: text of the URDF.
-        source: names it in messages.
-        find: returns the file of a mesh's URI, or raises an InputError that begins with its second argument.
+        path: its file, above which meshes are searched; it is named in messages.
+        packages: folders of meshes by package name.
     """
-    shapes = Shapes()
+    from geomid_ros.files.shapes import MeshFinder  # noqa: PLC0415 it takes as long as all other imports
+
+    shapes, source, find = Shapes(), str(path), MeshFinder(path, packages).find
     meshes: dict[tuple[str, str], str] = {}
     for link in read_xml(urdf, source).findall("link"):
         name = link.get("name", "")

@@ -30,7 +30,7 @@ from geomid_ros.files.models.effects_file import (
     write_sidecar,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile, inertias_of, link_entry, verdict_entry
-from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.files.models.mjcf import Shapes, mjcf
 from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF, with_same_files
 from geomid_ros.files.models.urdf import with_absolute_files, with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, to_document
@@ -67,13 +67,15 @@ def write_model(
     folded: Mapping[tuple[str, str], float] = MappingProxyType({}),
     fitted: Mapping[str, WrittenModel] = MappingProxyType({}),
     reader: str = URDF,
+    shapes: Shapes | None = None,
 ) -> list[Path]:
     """Write the model with ``inertias (10,)`` of identified bodies by name and all of its ``effects`` into ``folder``;
     returns the files. ``fitted`` are the models that descriptions contain instead, by reader. The sidecar is that of
     one ``reader``.
 
     ``gravity (3,)`` is that of an upright base. ``findings`` are the suspected faults of the model's recording,
-    ``noise`` its floor by channel and its cutoff, if known. ``folded`` is the model's, see :class:`WrittenModel`.
+    ``noise`` its floor by channel and its cutoff, if known. ``folded`` is the model's, see :class:`WrittenModel`. The
+    MJCF has the ``shapes``.
     Duplicate effects are merged, see :func:`~geomid_ros.files.models.effects_file.combined`.
     """
     effects = combined(effects)
@@ -95,7 +97,7 @@ def write_model(
     of_urdf, of_mjcf = alone[URDF], alone["mujoco"]
     whole = with_absolute_files(urdf, model.robot.source)
     write_text(folder / IDENTIFIED, with_effects(with_inertials(whole, links, removed), of_urdf.effects))
-    write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity))
+    write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity, shapes))
     of_sidecar = with_same_files(reader)
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, models[of_sidecar].effects, alone[of_sidecar].effects)
     return [folder / name for name in (ESTIMATE, IDENTIFIED, MJCF, EFFECTS_FILE)]
