@@ -6,7 +6,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import wraps
 from typing import Any, ParamSpec, TypeAlias, TypeVar
@@ -60,6 +60,17 @@ def _check_range(name: str, value: float, declared: Mapping[str, Any]) -> None:
         lower = f"{low:g} {'<' if declared.get('min_open') else '<='} {name}"
         upper = f" {'<' if declared.get('max_open') else '<='} {high:g}" if high < math.inf else ""
         raise InputError(f"{name} is {value:g}, expected {lower}{upper}")
+
+
+def named_once(option: str, pairs: Iterable[tuple[str, T]], advice: str) -> dict[str, T]:
+    """Return the pairs of an option by name; an empty name stands for all joints. Raises InputError, with the advice,
+    if a name is repeated: of its values only one could be used."""
+    result: dict[str, T] = {}
+    for name, value in pairs:
+        if name in result:
+            raise InputError(f"{option}: {repr(name) if name else 'all joints'} given more than once; {advice}")
+        result[name] = value
+    return result
 
 
 def shared(options: Options, kind: type[Options]) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from geomid_ros.model.controller import Gains
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
 from geomid_ros.model.moving_base import Contact
 from geomid_ros.model.weighed_masses import WeighedMass
+from geomid_ros.options import named_once
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
@@ -178,6 +179,11 @@ def find_parameter(name: str) -> Parameter:
     raise unknown_name("parameter", name, _BY_NAME)
 
 
+def _of_python(value: Any) -> Any:
+    """Convert a scalar or an array of numpy to Python's types; return any other value unchanged."""
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
 def _real(value: Any) -> Any:
     """Convert an integer to a real number; return any other value unchanged."""
     return float(value) if type(value) is int and abs(value) < 2**63 else value
@@ -226,7 +232,7 @@ class Configuration:
 
     def _checked(self, name: str, value: Any) -> Value:
         parameter = self.naming_source("", lambda: find_parameter(name))
-        default = parameter.default
+        default, value = parameter.default, _of_python(value)
         if isinstance(default, float):
             value = _real(value)
         if isinstance(default, list):
@@ -243,7 +249,7 @@ class Configuration:
         return checked
 
     def _checked_list(self, name: str, value: Any, kind: type) -> list[Any]:
-        entries = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+        entries = [*map(_of_python, value)] if isinstance(value, (list, tuple)) else [value]
         if kind is float:
             entries = [_real(entry) for entry in entries]
         valid = all(isinstance(entry, kind) for entry in entries)
@@ -320,8 +326,9 @@ class Configuration:
     @property
     def gains(self) -> dict[str, Gains]:
         """Gains by joint, those of all other joints under an empty name; none if efforts are measured."""
-        pairs = (entry.rpartition("=") for entry in self["command.gains"])
-        return {joint: self.naming_source("command.gains: ", partial(Gains.parse, text)) for joint, _, text in pairs}
+        texts = (entry.rpartition("=") for entry in self["command.gains"])
+        pairs = ((joint, self.naming_source("command.gains: ", partial(Gains.parse, text))) for joint, _, text in texts)
+        return named_once(f"{self.source}: command.gains", pairs, "for each joint its own: JOINT=KP:KD")
 
     @property
     def sensors(self) -> list[WrenchSensor]:

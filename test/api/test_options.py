@@ -10,6 +10,7 @@ from dataclasses import fields
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 from files.recordings import BAGS
 
@@ -90,6 +91,16 @@ def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
     }
 
 
+def test_numbers_of_numpy_are_numbers() -> None:
+    own = {"filter.cutoff": 8.0, "gravity": [0.0, 0.0, -9.75], "effort_gain": 2.0, "floating_base": True}
+    gravity = [*np.array([0.0, 0.0, -9.75])]
+    chosen = RobotOptions(cutoff=np.float64(8.0), gravity=gravity, gain=np.float32(2.0), floating_base=np.bool_(True))
+    assert configuration(chosen).given_values == own
+    start = np.array([0.3, 0.4, 0.5])
+    motion = geomid_ros.excite(URDF, duration=np.int64(4), repeats=1, start=start, collision=False)
+    np.testing.assert_allclose(motion.trajectory.positions[0], start, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
@@ -97,6 +108,11 @@ def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
         ({"lock": ["joint1", ""]}, "lock: the text is empty"),
         ({"cutoff": -1.0}, "filter.cutoff is -1"),
         ({"gravity": (0.0, 9.81)}, "gravity has 2 entries"),
+        ({"gain": [1.0, 1.0, 2.0]}, "gain: all joints given more than once; for each joint its own: {'JOINT': 2.0"),
+        ({"gain": np.ones(2)}, "gain: all joints given more than once"),
+        ({"gain": ["joint1=2", "joint1=3"]}, "gain: 'joint1' given more than once"),
+        ({"gain": {"joint1": "fast"}}, "gain: 'joint1=fast' is not of the form"),
+        ({"gains": ["20:4", "30:4"]}, "command.gains: all joints given more than once"),
     ],
 )
 def test_a_wrong_argument_is_named(wrong: dict[str, Any], said: str) -> None:
