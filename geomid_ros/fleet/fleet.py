@@ -8,12 +8,14 @@ from __future__ import annotations
 import json
 import logging
 import os
+import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
+from multiprocessing import current_process
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -51,10 +53,7 @@ class Cluster:
         self._patience = patience
         with ExitStack() as stack:
             if address is None:
-                cores = len(os.sched_getaffinity(0))
-                local = self._dask.LocalCluster(
-                    n_workers=cores, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
-                )
+                local = self._local_cluster()
                 stack.callback(local.close)
                 address = local.scheduler_address
             self._address = address
@@ -62,6 +61,21 @@ class Cluster:
             stack.callback(self._disconnect)
             self._connect(_CONNECT)
             self._stack = stack.pop_all()
+
+    def _local_cluster(self) -> Any:
+        """Start workers on this machine. Raises InputError if they do not start."""
+        if getattr(current_process(), "_inheriting", False):  # as multiprocessing tests it
+            sys.exit(0)  # this process is such a worker, which runs its parent's script first; the parent says so
+        cores = len(os.sched_getaffinity(0))
+        try:
+            return self._dask.LocalCluster(
+                n_workers=cores, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
+            )
+        except RuntimeError as error:
+            raise InputError(
+                f"the workers of this machine do not start ({str(error).removesuffix('.')}). In a script, put the call "
+                "under \"if __name__ == '__main__':\", as each worker imports the script"
+            ) from None
 
     def __enter__(self) -> Self:
         return self
