@@ -59,6 +59,13 @@ def test_a_requirement_that_does_not_hold(model: Path) -> None:
     assert "FAILED: 1 of 2 requirements hold" in " ".join(result.stdout.split())
 
 
+def test_the_total_mass_is_that_of_the_whole_robot(model: Path) -> None:
+    """As ``--known total=`` takes it: the base counts, too."""
+    (total,) = geomid_ros.verify(model, BAG, URDF, wrench=WRIST[1], require="total.mass<2*urdf").outcomes
+    assert total.value == pytest.approx(3.0 + sum(link["mass"] for link in read(model.parent)["links"]))
+    assert total.bound == f"< {2 * (3.0 + 2.2 + 1.7 + 1.0 + 0.5):.4g}"
+
+
 def altered(model: Path, folder: Path, **entries: Any) -> Path:
     (folder / "altered.json").write_text(json.dumps(json.loads(model.read_text()) | entries))
     return folder / "altered.json"
