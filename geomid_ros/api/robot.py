@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
-from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -168,7 +167,9 @@ def _gains(given: Gains) -> dict[str, float]:
     """Return the parameters set by effort gains."""
     if isinstance(given, Mapping):
         given = [f"{joint}={factor}" for joint, factor in given.items()]
-    pairs = [_gain(str(entry)) for entry in ([given] if isinstance(given, Real | str) else given)]
+    pairs = [
+        _gain(str(entry)) for entry in ([given] if isinstance(given, str) or not isinstance(given, Iterable) else given)
+    ]
     factors = named_once("gain", pairs, "for each joint its own: {'JOINT': 2.0, ...}, --gain JOINT=2")
     return {f"joint.{joint}.effort_gain" if joint else "effort_gain": factor for joint, factor in factors.items()}
 
