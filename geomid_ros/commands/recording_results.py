@@ -271,7 +271,7 @@ def _candidates_table(result: GapResult) -> Table:
 def show_fleet(found: geomid_ros.FleetIdentification) -> None:
     """Print a table of the robots, and the bad and doubtful bags."""
     console = results_console()
-    table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "identified links [kg]", "distance"])
+    table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "links [kg]", "distance"])
     for heading in ("verdict", "differs from the others", "changed"):
         table.add_column(heading)
     for line in found.lines:

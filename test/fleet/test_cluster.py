@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -46,6 +47,13 @@ def test_a_script_that_its_workers_would_run_again_is_told(tmp_path: Path) -> No
     *_, last = ended.stderr.splitlines()
     assert "InputError: the workers of this machine do not start" in last
     assert last.count("put the call under") == ended.stderr.count("Traceback") == 1
+
+
+def test_ctrl_c_is_not_for_workers() -> None:
+    with Cluster(None) as cluster:
+        masks = cluster._client.run(signal.pthread_sigmask, signal.SIG_BLOCK, ()).values()
+    assert all(signal.SIGINT in mask for mask in masks)
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_tasks_that_a_scheduler_forgot_are_done_after_all(local: distributed.LocalCluster) -> None:
