@@ -158,7 +158,8 @@ class JointReader:
             if missing := missing_joint(self._joints, names):
                 raise RejectedError(missing)
             if extra := [name for name in names if name not in self._joints]:
-                self._note_once(f"ignored, no moving joints of the robot: {', '.join(map(repr, extra))}")
+                listing = ", ".join(map(repr, extra))
+                self._note_once(Reason(f"ignored, no moving joints of the robot: {listing}", "note"))
             self._names = names
             self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
         return self._order

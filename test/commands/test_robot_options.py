@@ -70,6 +70,12 @@ def test_a_locked_joint_has_to_stand(moving: bool, status: int, said: str, tmp_p
     assert said in " ".join(done(*arguments, "--out", tmp_path, status=status).split())
 
 
+def test_joints_that_the_robot_lacks_are_noted(tmp_path: Path) -> None:
+    bag = changed(tmp_path / "bag", lambda names, values: ([*names, "finger", "thumb"], [*values, 0.0, 0.0]))
+    said = "Note: joint_states: ignored, no moving joints of the robot: 'finger', 'thumb'"
+    assert said in " ".join(done("payload", BAG, bag, "--urdf", URDF, "--frame", "tool").split())
+
+
 @pytest.mark.parametrize(
     "case",
     ["heavy", "a sensor behind it", "an unknown name in the messages", "a joint behind it", "not at all in one bag"],
