@@ -250,7 +250,10 @@ def read_user_mjcf(model: ExportModel, path: Path) -> UserMjcf:
     Raises:
         InputError: it has none of the bodies, or its axes are not where the URDF has them.
     """
-    text, frames = read_text(path, "MJCF", MOST_URDF_BYTES), body_frames(path)
+    text = read_text(path, "MJCF", MOST_URDF_BYTES)
+    if "<mujoco" not in text:
+        raise InputError(f"{path}: not an MJCF, it has no <mujoco> element; is it a URDF?")
+    frames = body_frames(path)
     links = model.estimated or tuple(model.bodies)
     bodies = [name for name in links if name in frames.bodies]
     if not bodies:

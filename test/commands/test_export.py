@@ -113,5 +113,6 @@ def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:
         (["--into", "robot.xml"], "into is a file of MuJoCo's"),
     ):
         assert said in refused("export", urdf, "--for", "gazebo", *wrong)
+    assert "not an MJCF" in refused("export", urdf, "--for", "mujoco", "--into", urdf)
     both = ("--into", "robot.xml", "--frame", "tool")
     assert "into and frame exclude each other" in refused("export", urdf, "--for", "mujoco", *both)
