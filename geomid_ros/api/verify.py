@@ -64,6 +64,15 @@ class Verification:
         """True if all requirements hold and nothing is doubtful."""
         return not self.doubts and all(outcome.passed is not False for outcome in self.outcomes)
 
+    def __repr__(self) -> str:
+        """Reasons for doubt, whether it passed, and a line for each channel and requirement."""
+        channels = (
+            f"  {name}: {', '.join(f'{of} {number:.3g}' for of, number in numbers.items())}"
+            for name, numbers in self.rms.items()
+        )
+        heading = f"Verification of {self.session.robot.name}: {'passed' if self.passed else 'FAILED'}; RMS residual"
+        return "\n".join([*self.doubts, heading, *channels, *(f"  {outcome.sentence}" for outcome in self.outcomes)])
+
 
 @takes(VerifyOptions)
 def verify(options: VerifyOptions) -> Verification:
@@ -236,3 +245,13 @@ class Outcome:
     value: float
     bound: str
     passed: bool | None
+
+    @property
+    def result(self) -> str:
+        """The result in words."""
+        return {True: "passed", False: "FAILED", None: "not checked"}[self.passed]
+
+    @property
+    def sentence(self) -> str:
+        """What was compared, and the result."""
+        return f"{self.requirement}: {self.what} is {self.value:.4g}, {self.bound}: {self.result}"
