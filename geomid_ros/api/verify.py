@@ -248,10 +248,10 @@ class Outcome:
 
     @property
     def result(self) -> str:
-        """The result in words."""
+        """Result in words."""
         return {True: "passed", False: "FAILED", None: "not checked"}[self.passed]
 
     @property
     def sentence(self) -> str:
-        """What was compared, and the result."""
+        """Requirement, value, bound and result in words."""
         return f"{self.requirement}: {self.what} is {self.value:.4g}, {self.bound}: {self.result}"
