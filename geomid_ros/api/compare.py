@@ -181,7 +181,7 @@ def _check_same_robot(sides: Sequence[_Side], values: Sequence[RobotValues]) -> 
 
 def _other_robot(source: str, links: Iterable[str], other: str, other_links: Iterable[str]) -> InputError:
     return InputError(
-        f"{source}: a model of another robot than {other}. Links of the first: {', '.join(links)}; of the second: "
+        f"{source}: a model of another robot than {other}. Links of {source}: {', '.join(links)}; of {other}: "
         f"{', '.join(other_links)}"
     )
 

@@ -50,6 +50,18 @@ class Feedforward:
         """Largest absolute effort of each joint ``(joints,)``."""
         return np.asarray(np.max(np.abs(self.trajectory.efforts), axis=0))
 
+    @property
+    def summary(self) -> str:
+        """Duration, and number of points."""
+        trajectory = self.trajectory
+        return f"{trajectory.duration:g} s, {len(trajectory.times)} points ({self.given} were given)"
+
+    def __repr__(self) -> str:
+        """Notes, a heading, and the largest effort of each joint."""
+        joints = zip(self.trajectory.joints, self.largest.tolist(), strict=True)
+        lines = [f"  {joint}: at most {largest:.4g} N m (N)" for joint, largest in joints]
+        return "\n".join([*self.notes, f"Trajectory with efforts: {self.summary}", *lines])
+
     def save(self, path: PathLike) -> Path:
         """Write the trajectory: YAML or CSV by the suffix, else a rosbag in a folder.
 

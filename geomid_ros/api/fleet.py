@@ -47,7 +47,8 @@ class FleetIdentification(FleetPage):
 def identify_fleet(options: FleetOptions) -> FleetIdentification:
     """Identify many robots of one type from many bags.
 
-    ``geomid fleet`` calls this; its options have the same names.
+    ``geomid fleet`` calls this; its options have the same names. Without a ``scheduler``, a script has to call this
+    under ``if __name__ == "__main__":``, as each worker imports the script.
 
     Raises:
         InputError: a file, an argument or the cluster cannot be used; intermediate results are kept.

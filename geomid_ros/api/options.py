@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, MISSING, dataclass, field
 from typing import TYPE_CHECKING
 
 from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
@@ -11,6 +11,8 @@ from geomid_ros.session.options import DescriptionOptions, PackageOptions, PathL
 
 if TYPE_CHECKING:
     from geomid_ros.excitation.motion import Trajectory
+
+ESTIMATE = "estimate.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +60,7 @@ class RecordingOptions(RobotOptions):
             tested on held-out data.
     """
 
-    model: PathLike | None = None
+    model: PathLike | None = option(file=ESTIMATE)
     hold_out: float | None = option(min=0.0, max=0.9)
     validate: Paths = ()
     reader: str = option(URDF, flag="--for", choices=DESCRIBED_FOR)
@@ -91,7 +93,7 @@ class IdentifyOptions(RecordingOptions, FittedBags):
     candidates: Texts | None = option(or_none=True, sets="candidates")
     links: Texts | None = option(sets="links")
     known: Texts = option((), metavar="LINK=MASS:STD", sets="known")
-    prior: PathLike | None = option(sets="prior")
+    prior: PathLike | None = option(sets="prior", file="population.json")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,8 +144,8 @@ class PredictedBags(Options):
         validate: rosbag folders, or .mcap and .db3 files.
     """
 
-    model: PathLike
-    validate: Paths
+    model: PathLike = option(MISSING, file=ESTIMATE)
+    validate: Paths = option(MISSING)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,8 +169,8 @@ class ComparedResults(Options):
         second: an estimate.json, or a URDF if the other is none.
     """
 
-    first: PathLike
-    second: PathLike
+    first: PathLike = option(MISSING, file=ESTIMATE)
+    second: PathLike = option(MISSING, file=ESTIMATE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +242,7 @@ class GivenTrajectory(Options):
     """
 
     trajectory: PathLike | Trajectory
-    model: PathLike | None
+    model: PathLike | None = option(MISSING, file=ESTIMATE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,12 +272,12 @@ class ExportOptions(PackageOptions):
         force: export a model whose verdict is not 'usable', too.
     """
 
-    model: PathLike
-    tool: str
+    model: PathLike = option(MISSING, file=ESTIMATE)
+    tool: str = option(MISSING)
     _: KW_ONLY
     frame: str | None = option(metavar="LINK")
     links: Texts | None = None
-    without: PathLike | None = None
+    without: PathLike | None = option(file=ESTIMATE)
     into: PathLike | None = option(metavar="MJCF")
     force: bool = False
 
@@ -294,8 +296,8 @@ class SampleOptions(PackageOptions):
         seed: random seed; the same seed gives the same robots.
     """
 
-    model: PathLike
-    tool: str
+    model: PathLike = option(MISSING, file=ESTIMATE)
+    tool: str = option(MISSING)
     _: KW_ONLY
     count: int = option(100, flag="-n", min=1, max=100_000)
     into: PathLike | None = option(metavar="MJCF")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -14,7 +14,7 @@ from geomid_ros.files.models.urdf import SUFFIX, read_urdf
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.moving_base import Imu
-from geomid_ros.options import Options
+from geomid_ros.options import Options, named_once
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import Config, DescriptionOptions, Gains, PathLike, Paths, Texts, paths, texts
 from geomid_ros.session.recordings import Bags, Topics, read_with_locked, recorded_description
@@ -164,15 +164,19 @@ def _base(config: Config | None) -> Configuration:
 def _gains(given: Gains) -> dict[str, float]:
     """Return the parameters set by effort gains."""
     if isinstance(given, Mapping):
-        return {f"joint.{joint}.effort_gain": float(factor) for joint, factor in given.items()}
-    return dict(_gain(str(entry)) for entry in ([given] if isinstance(given, float | int | str) else given))
+        given = [f"{joint}={factor}" for joint, factor in given.items()]
+    pairs = [
+        _gain(str(entry)) for entry in ([given] if isinstance(given, str) or not isinstance(given, Iterable) else given)
+    ]
+    factors = named_once("gain", pairs, "for each joint its own: {'JOINT': 2.0, ...}, --gain JOINT=2")
+    return {f"joint.{joint}.effort_gain" if joint else "effort_gain": factor for joint, factor in factors.items()}
 
 
 def _gain(text: str) -> tuple[str, float]:
-    """Return the parameter set by ``[JOINT=]FACTOR``, and its value."""
+    """Return the joint of ``[JOINT=]FACTOR``, empty for all joints, and its factor."""
     joint, _, factor = text.rpartition("=")
     try:
-        return (f"joint.{joint}.effort_gain" if joint else "effort_gain"), float(factor)
+        return joint, float(factor)
     except ValueError as error:
         raise InputError(f"gain: '{text}' is not of the form [JOINT=]FACTOR, e.g. -1 or joint3=0.5") from error
 

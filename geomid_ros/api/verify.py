@@ -4,7 +4,7 @@ A requirement is ``[PLACE.]QUANTITY COMPARISON BOUND`` (``rms<2*floor``, ``joint
 Without a place it applies to every place but ``total`` where quantity and reference are measured and known. Quantities:
 
 - ``rms``, of a channel: RMS of the residual of the model on the recording [N m, N];
-- ``mass``, of a link, or of all links together, ``total``: [kg];
+- ``mass``, of a link, or of the whole robot with its fixed links, ``total``: [kg];
 - ``from_data``, of a link: fraction of the prior variance that the data removed, 0 to 1.
 
 A comparison is ``<``, ``<=``, ``>`` or ``>=``. A bound is a number, ``floor``, ``urdf``, or a number times one of them:
@@ -34,6 +34,7 @@ from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.samples import Samples
+from geomid_ros.model.weighed_masses import TOTAL
 from geomid_ros.options import takes
 from geomid_ros.session.gap import rms_of_model
 from geomid_ros.session.options import PathLike, Paths, texts
@@ -62,6 +63,15 @@ class Verification:
     def passed(self) -> bool:
         """True if all requirements hold and nothing is doubtful."""
         return not self.doubts and all(outcome.passed is not False for outcome in self.outcomes)
+
+    def __repr__(self) -> str:
+        """Reasons for doubt, whether it passed, and a line for each channel and requirement."""
+        channels = (
+            f"  {name}: {', '.join(f'{of} {number:.3g}' for of, number in numbers.items())}"
+            for name, numbers in self.rms.items()
+        )
+        heading = f"Verification of {self.session.robot.name}: {'passed' if self.passed else 'FAILED'}; RMS residual"
+        return "\n".join([*self.doubts, heading, *channels, *(f"  {outcome.sentence}" for outcome in self.outcomes)])
 
 
 @takes(VerifyOptions)
@@ -132,7 +142,8 @@ def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) ->
     errors = zip(channels, *(each.tolist() for each in residual_rms), strict=True)
     bodies = session.model.body_names
     masses = [each[: 10 * len(bodies) : 10].tolist() for each in (parameters, nominal)]
-    with_total = zip([*bodies, TOTAL], *([*each, sum(each)] for each in masses), strict=True)
+    fixed = session.model.unidentified_mass
+    with_total = zip([*bodies, TOTAL], *([*each, sum(each) + fixed] for each in masses), strict=True)
     return {
         "rms": {name: {"value": fit, "floor": floors.get(name, math.nan), "urdf": urdf} for name, fit, urdf in errors},
         "mass": {name: {"value": fit, "urdf": urdf} for name, fit, urdf in with_total},
@@ -140,7 +151,6 @@ def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) ->
     }
 
 
-TOTAL = "total"
 QUANTITIES = {"rms": ("floor", "urdf"), "mass": ("urdf",), "from_data": ()}
 """References that the bound of a quantity may be a multiple of, by quantity."""
 
@@ -235,3 +245,13 @@ class Outcome:
     value: float
     bound: str
     passed: bool | None
+
+    @property
+    def result(self) -> str:
+        """Result in words."""
+        return {True: "passed", False: "FAILED", None: "not checked"}[self.passed]
+
+    @property
+    def sentence(self) -> str:
+        """Requirement, value, bound and result in words."""
+        return f"{self.requirement}: {self.what} is {self.value:.4g}, {self.bound}: {self.result}"

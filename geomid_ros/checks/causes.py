@@ -55,7 +55,7 @@ _SENTENCES = {
     "unrelated": "the efforts follow neither the gravity nor the motion of this robot: check whether they are "
     "external or compensated efforts, or the URDF is of another robot",
     "constant": "the effort of {joints} never changes though the joint moves: it is not measured",
-    "held": "the effort of joint {joints} is stuck from about {begin:.0f} s to {end:.0f} s, while gravity and motion "
+    "held": "the effort of joint {joints} is stuck from about {begin} to {end}, while gravity and motion "
     "require a change of {asked:.3g}: it is not measured there; leave that part out",
     "frozen": "the position of joint {joints} is frozen for {share:.0%} of the time, but the efforts do not match a "
     "constant pose: check the encoder, and whether the driver repeats an old value. Leave that part out",

@@ -18,7 +18,7 @@ from geomid_ros.checks.candidates import MASS_FACTOR, STEP, TILT, CandidateFit, 
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
 from geomid_ros.checks.effort_data import STRETCHES, EffortData
 from geomid_ros.checks.evidence import MOST, PRIOR_STD, payload_factor
-from geomid_ros.checks.sample_reservoir import FEWEST, elapsed
+from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -51,13 +51,16 @@ class _Kind:
 def changes(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield the changes that explain anything."""
     yield from switches(subject)
-    fit = subject.baseline_fit
+    fit, recordings = subject.baseline_fit, subject.recordings
+    # People change something between recordings rather than during one.
+    begins = np.union1d(
+        np.searchsorted(subject.shares, _PLACES), np.flatnonzero(np.diff(recordings, prepend=recordings[0]))
+    )
     for kind in _kinds(subject):
-        always, begins = kind.columns(subject), np.searchsorted(subject.shares, _PLACES)
+        always = kind.columns(subject)
         tried = fit.predicted_gains(always, begins, before=kind.first)
-        place, promise = float(_PLACES[int(np.argmax(tried))]), float(np.max(tried))
-        when = f"{'until' if kind.first else 'from'} about {elapsed(subject.samples.stamps, place):.0f} s"
-        when += "" if kind.first else " on"
+        place, promise = float(subject.shares[begins[int(np.argmax(tried))]]), float(np.max(tried))
+        when = f"until about {subject.time_of(place)}" if kind.first else f"from about {subject.time_of(place)} on"
         if kind.grows and (growing := float(fit.predicted_gains(subject.shares[:, None, None] * always)[0])) > promise:
             place, when, promise = np.nan, BIT_BY_BIT, growing
         if promise <= 0.0:
@@ -183,8 +186,7 @@ def switches(subject: EffortData) -> Iterator[FaultCandidate]:
     tried |= {switch: _switched(subject, *switch).log_evidence for switch in near}
     place, factor = max(tried, key=lambda one: tried[one])
     change = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
-    when = f"from about {elapsed(subject.samples.stamps, place):.0f} s on"
-    cause = Cause.of("stream", subject.names, factor=change, when=when)
+    cause = Cause.of("stream", subject.names, factor=change, when=f"from about {subject.time_of(place)} on")
     yield FaultCandidate(
         fit_corrected=lambda of: _switched(of, place, factor),
         cause=cause,

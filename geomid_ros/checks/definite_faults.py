@@ -90,7 +90,7 @@ def _denser_than_steel(bodies: FloatArray) -> BoolArray:
 
 def held_efforts(subject: EffortData) -> list[Cause]:
     """Find efforts that stay the same for a while in which gravity and motion require changes."""
-    causes, rigid, stamps = [], subject.baseline_fit.link_efforts, subject.samples.stamps
+    causes, rigid = [], subject.baseline_fit.link_efforts
     for channel, effort in enumerate(subject.measured.T):
         changes = np.abs(np.diff(rigid[:, channel]))
         same = np.abs(np.diff(effort)) <= _SAME * np.ptp(effort)
@@ -101,10 +101,9 @@ def held_efforts(subject: EffortData) -> list[Cause]:
             others = np.delete(same & (changes > LEAST_SIGMA * np.std(effort)), np.arange(begin, end))
             required = float(np.ptp(rigid[begin : end + 1, channel]))
             if end - begin >= _FEWEST and np.mean(others) < LEAST_SIGMA and required > least:
-                times = {name: (stamps[at] - stamps[0]) * 1e-9 for name, at in (("begin", begin), ("end", end))}
-                causes.append(
-                    Cause.of("constant", [subject.names[channel]], sentence_key="held", asked=required, **times)
-                )
+                first, last = (subject.time_of(subject.shares[at]) for at in (begin, end))
+                name = subject.names[channel]
+                causes.append(Cause.of("constant", [name], sentence_key="held", asked=required, begin=first, end=last))
                 break
     return causes
 

@@ -43,7 +43,7 @@ class EffortData:
         urdf_parameters: ``(D,)`` the URDF's parameters.
         factor: ``(bodies, 10, 10)`` of the covariance of their errors.
         shares: ``(N,)`` fraction of the recording before each sample, 0 to 1.
-        recordings: ``(N,)`` number of each sample's recording.
+        recordings, bags: ``(N,)`` number of each sample's recording, and the name of its bag.
         next_samples: the next sample after each of them.
     """
 
@@ -55,6 +55,7 @@ class EffortData:
     factor: FloatArray
     shares: FloatArray
     recordings: IntArray
+    bags: AnyArray
     next_samples: Samples
 
     @staticmethod
@@ -80,13 +81,14 @@ class EffortData:
             factor=prior_factor(robot),
             shares=np.arange(len(samples)) / max(len(samples), 1),
             recordings=kept.recordings[usable],
+            bags=kept.bags[usable],
             next_samples=kept.next_samples.select(usable),
         )
 
     @staticmethod
     def of_all(robot: Robot, samples: Samples) -> EffortData:
         """Select the joints from samples of one recording, as they are."""
-        kept = KeptSamples(samples, samples, np.zeros(len(samples), dtype=np.int64))
+        kept = KeptSamples(samples, samples, np.zeros(len(samples), dtype=np.int64), np.full(len(samples), ""))
         return EffortData.of(robot, kept, np.ones(samples.effort.shape[1]))
 
     def select(self, chosen: AnyArray | slice) -> EffortData:
@@ -96,6 +98,7 @@ class EffortData:
             samples=self.samples.select(chosen),
             shares=self.shares[chosen],
             recordings=self.recordings[chosen],
+            bags=self.bags[chosen],
             next_samples=self.next_samples.select(chosen),
         )
         if "regressor" in self.__dict__:
@@ -103,6 +106,15 @@ class EffortData:
         if "unknowns" in self.__dict__:
             part.__dict__["unknowns"] = self.unknowns.select(chosen)
         return part
+
+    def time_of(self, place: float) -> str:
+        """Time from the first sample to the fraction ``place`` of all samples, in words: in its bag, if there are
+        several. Steps back in time count 0."""
+        sample = min(round(place * len(self.bags)), len(self.bags) - 1)
+        of_bag = self.bags == self.bags[sample]
+        steps = np.diff(self.samples.stamps[: sample + 1][of_bag[: sample + 1]])
+        seconds = f"{1e-9 * float(np.sum(np.maximum(steps, 0))):.0f} s"
+        return seconds if np.all(of_bag) else f"{seconds} of '{self.bags[sample]}'"
 
     @cached_property
     def halves(self) -> list[EffortData]:

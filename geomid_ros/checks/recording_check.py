@@ -128,9 +128,9 @@ class RecordingCheck:
             if self._task.model.legs is not None:
                 self._standing.add(on_all_feet(self._task.model.legs, part))
 
-    def begin_recording(self) -> None:
-        """Begin another recording, which has to show the same."""
-        self._instants.begin_recording()
+    def begin_recording(self, bag: str) -> None:
+        """Begin another recording, which has to show the same; ``bag`` is its name."""
+        self._instants.begin_recording(bag)
 
     @property
     def due(self) -> bool:

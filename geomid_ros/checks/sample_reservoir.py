@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.samples import REST_SPEED, Samples
-from geomid_ros.types import IntArray
+from geomid_ros.types import AnyArray, IntArray
 
 FEWEST = 30
 """Fewest samples on which a recording is checked."""
@@ -19,19 +19,15 @@ STEP = 20_000_000
 _APART = 100_000_000  # [ns]; nearer samples are redundant
 
 
-def elapsed(stamps: IntArray, place: float) -> float:
-    """Time [s] from the first sample to the fraction ``place`` of all samples; steps back in time count 0."""
-    return float(np.sum(np.maximum(np.diff(stamps), 0)[: int(place * len(stamps))])) * 1e-9
-
-
 @dataclass(frozen=True, eq=False)
 class KeptSamples:
-    """Kept ``samples``; the next sample after each, ``next_samples``, or itself if none followed soon; and the index of
-    each one's recording, ``recordings (N,)``."""
+    """Kept ``samples``; the next sample after each, ``next_samples``, or itself if none followed soon; the index of
+    each one's recording, ``recordings (N,)``; and the name of each one's bag, ``bags (N,)``."""
 
     samples: Samples
     next_samples: Samples
     recordings: IntArray
+    bags: AnyArray
 
 
 class SampleReservoir:
@@ -44,7 +40,7 @@ class SampleReservoir:
     def __init__(self) -> None:
         self._kept: list[tuple[Samples, Samples, int]] = []  # sample, next sample, index of the recording
         self._awaits_next = False
-        self._recording = 0
+        self._bags = [""]  # of the recordings so far
         self._apart = _APART
         self.taken = 0.0
         """Time that the kept samples stand for, in units of the least distance."""
@@ -66,7 +62,7 @@ class SampleReservoir:
 
     def _keep(self, instant: Samples) -> None:
         self._last = int(instant.stamps[0])
-        self._kept.append((instant, instant, self._recording))
+        self._kept.append((instant, instant, len(self._bags) - 1))
         self._awaits_next = True
         self.taken += self._apart / _APART
         if len(self._kept) > MOST:
@@ -80,9 +76,9 @@ class SampleReservoir:
         if 0 < instant.stamps[0] - last.stamps[0] < 2 * STEP:
             self._kept[-1] = (last, instant, recording)
 
-    def begin_recording(self) -> None:
-        """Begin another recording."""
-        self._recording += 1
+    def begin_recording(self, bag: str | None = None) -> None:
+        """Begin another recording, in another ``bag`` or in the same."""
+        self._bags.append(self._bags[-1] if bag is None else bag)
 
     @property
     def kept(self) -> KeptSamples | None:
@@ -91,7 +87,8 @@ class SampleReservoir:
         if not kept:
             return None
         samples, later, recordings = ([*parts] for parts in zip(*kept, strict=True))
-        return KeptSamples(Samples.concatenate(samples), Samples.concatenate(later), np.array(recordings))
+        bags = np.array(self._bags)[recordings]
+        return KeptSamples(Samples.concatenate(samples), Samples.concatenate(later), np.array(recordings), bags)
 
 
 class RecentMotion:

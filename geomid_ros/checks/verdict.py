@@ -163,12 +163,14 @@ def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatA
 
 def _worse(model: MeasurementModel, errors: FloatArray, nominal: FloatArray) -> list[str]:
     """Channels whose mean squared errors in blocks ``(blocks, channels)`` are larger than the URDF's."""
-    worse = []
-    for channel, after, before in zip(model.channels, errors.T, nominal.T, strict=True):
-        finite = np.isfinite(after) & np.isfinite(before)
-        rise = after[finite] - before[finite]
-        if len(rise) < BLOCKS // 2 or not np.mean(after[finite]) > WORSE**2 * np.mean(before[finite]):
-            continue
-        if np.mean(rise) > STDS_OF_95 * np.std(rise, ddof=1) / np.sqrt(len(rise)):
-            worse.append(channel.name)
-    return worse
+    triples = zip(model.channels, errors.T, nominal.T, strict=True)
+    return [channel.name for channel, after, before in triples if is_worse(after, before)]
+
+
+def is_worse(after: FloatArray, before: FloatArray) -> bool:
+    """True if mean squared errors in blocks ``(blocks,)`` are larger than those ``before``, beyond their scatter."""
+    finite = np.isfinite(after) & np.isfinite(before)
+    rise = after[finite] - before[finite]
+    if len(rise) < BLOCKS // 2 or not np.mean(after[finite]) > WORSE**2 * np.mean(before[finite]):
+        return False
+    return bool(np.mean(rise) > STDS_OF_95 * np.std(rise, ddof=1) / np.sqrt(len(rise)))

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from io import TextIOWrapper
 from typing import Any
 
 import click
@@ -45,6 +49,10 @@ _HOMES = {  # module of a command, if its name differs
 }
 
 
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as of other programs."""
+
+
 class _Failure(click.ClickException):
     """Error of this package shown to the user: one message, exit status 2."""
 
@@ -80,6 +88,35 @@ class _Group(click.Group):
             return super().invoke(ctx)
         except GeomidError as error:
             raise _Failure(str(error)) from error
+        except KeyboardInterrupt as error:
+            click.echo("Interrupted.", err=True)
+            raise click.exceptions.Exit(INTERRUPTED) from error
+
+
+class _Output(TextIOWrapper):
+    """Standard output in which characters that its encoding lacks become question marks.
+
+    If nobody reads on, as after ``| head``, the rest is dropped: the command's result does not depend on it.
+    """
+
+    def write(self, text: str) -> int:
+        with self._writing():
+            return super().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._writing():
+            super().flush()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Raise GeomidError if the block cannot write."""
+        try:
+            yield
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())  # what is buffered would fail again
+            if not isinstance(error, BrokenPipeError):
+                raise GeomidError(f"standard output cannot be written: {error.strerror}") from error
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
@@ -90,11 +127,18 @@ def root() -> None:
 
 def main() -> None:
     """Entry point of ``geomid``."""
+    if sys.stdout is not None:
+        out = sys.stdout
+        sys.stdout = _Output(out.buffer, out.encoding, errors="replace", line_buffering=out.isatty())
     try:
-        root()
+        try:
+            root()
+        finally:
+            click.echo(nl=False)  # what is still buffered may fail to be written
     except Exception as error:  # libraries raise various errors when memory runs out
         missing = missing_library(error) if isinstance(error, ImportError | OSError) else ""
         sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing
+        sentence = str(error) if isinstance(error, GeomidError) else sentence
         if not sentence:
             raise
         click.echo(f"Error: {sentence}", err=True)

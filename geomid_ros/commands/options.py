@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import click
 
 from geomid_ros.errors import InputError
-from geomid_ros.options import explained
+from geomid_ros.options import explained, named_once, names_in
 
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 _NONE = "'none' for none"
@@ -47,9 +47,7 @@ class Names(click.ParamType):  # type: ignore[type-arg]  # older releases of cli
         self.or_none = or_none
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
-        names = [name.strip() for name in value.split(",")]
-        if self.or_none and names == ["none"]:
-            return []
+        names = names_in(value, or_none=self.or_none)
         if not all(names):
             none = f", or {_NONE}" if self.or_none else ""
             self.fail(
@@ -79,13 +77,13 @@ def share(_context: click.Context, _option: click.Parameter, text: str | None) -
 
 def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:
     """Parse NAME=FOLDER into folders by package name."""
-    packages = {}
+    pairs = []
     for text in texts:
         name, _, folder = text.partition("=")
         if not name or not folder:
             raise click.BadParameter(f"'{text}' is not of the form NAME=FOLDER")
-        packages[name] = Path(folder)
-    return packages
+        pairs.append((name, Path(folder)))
+    return named_once("--package-path", pairs, "remove one")
 
 
 OUT: dict[str, Any] = {"type": Output(file_okay=False), "show_default": True, "help": "Output folder."}

@@ -199,7 +199,7 @@ def _print_file(console: Console, file: FileTest) -> None:
 
 
 def _findings_table(result: GapResult) -> Table:
-    table = plain_table("Findings (confident ones are in the written model)", ["effect", "where"])
+    table = plain_table("Findings (sure ones are in the written model)", ["effect", "where"])
     table.add_column("parameter", no_wrap=True)
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("probability", no_wrap=True)
@@ -208,7 +208,7 @@ def _findings_table(result: GapResult) -> Table:
         names = lines(name.replace("_", " ") for name in finding.parameters)
         values = lines(map(gap_words.measured, finding.parameters.values()))
         where = gap_words.place(finding.joint, finding.link)
-        probability = f"{gap_words.percent(finding.probability):>5}, {finding.confidence}"
+        probability = f"{gap_words.percent(finding.probability):>5}, {gap_words.CONFIDENCE[finding.confidence][0]}"
         closes = gap_words.percent(finding.share)
         table.add_row(gap_words.headline(finding.effect), where, names, values, probability, closes)
     return table
@@ -270,7 +270,7 @@ def _candidates_table(result: GapResult) -> Table:
 def show_fleet(found: geomid_ros.FleetIdentification) -> None:
     """Print a table of the robots, and the bad and doubtful bags."""
     console = results_console()
-    table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "mass [kg]", "distance"])
+    table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "links [kg]", "distance"])
     for heading in ("verdict", "differs from the others", "changed"):
         table.add_column(heading)
     for line in found.lines:

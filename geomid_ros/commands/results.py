@@ -124,8 +124,7 @@ def _channels(result: geomid_ros.Verification) -> Table:
 def _requirements(verification: geomid_ros.Verification) -> Table:
     table = plain_table("Requirements", ["requirement", "of"], ["value", "bound", "result"])
     for outcome in verification.outcomes:
-        result = {True: "passed", False: "FAILED", None: "not checked"}[outcome.passed]
-        table.add_row(outcome.requirement, outcome.what, _number(outcome.value), outcome.bound, result)
+        table.add_row(outcome.requirement, outcome.what, _number(outcome.value), outcome.bound, outcome.result)
     return table
 
 
@@ -246,7 +245,7 @@ def _show_efforts(result: geomid_ros.Feedforward) -> None:
     """Print notes, and the efforts of each joint of a trajectory."""
     console, trajectory = results_console(), result.trajectory
     print_remarks(console, {"Note": result.notes})
-    console.print(f"{trajectory.duration:g} s, {len(trajectory.times)} points ({result.given} were given)")
+    console.print(result.summary)
     headings = ["RMS", "largest", "limit", "interpolation error"]
     table = plain_table("Efforts of the motors [N m, N]", ["joint"], headings)
     rms = np.sqrt(np.mean(trajectory.efforts**2, axis=0))

@@ -245,7 +245,10 @@ def read_user_mjcf(model: ExportModel, path: Path) -> UserMjcf:
     Raises:
         InputError: it has none of the bodies, or its axes are not where the URDF has them.
     """
-    text, compiled = read_text(path, "MJCF", MOST_URDF_BYTES), compile_mjcf(path)
+    text = read_text(path, "MJCF", MOST_URDF_BYTES)
+    if "<mujoco" not in text:
+        raise InputError(f"{path}: not an MJCF, it has no <mujoco> element; is it a URDF?")
+    compiled = compile_mjcf(path)
     bodies = [name for name in model.written if name in compiled.bodies]
     if not bodies:
         names = f"{', '.join(model.written)}; those that it has: {', '.join(compiled.bodies)}"

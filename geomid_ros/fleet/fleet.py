@@ -8,12 +8,15 @@ from __future__ import annotations
 import json
 import logging
 import os
+import signal
+import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
+from multiprocessing import current_process, resource_tracker
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -50,18 +53,37 @@ class Cluster:
         self._dask: Any = distributed
         self._patience = patience
         with ExitStack() as stack:
-            if address is None:
-                cores = len(os.sched_getaffinity(0))
-                local = self._dask.LocalCluster(
-                    n_workers=cores, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
-                )
-                stack.callback(local.close)
-                address = local.scheduler_address
-            self._address = address
+            self._address = self._start_workers(stack) if address is None else address
             self._client: Any = None
             stack.callback(self._disconnect)
             self._connect(_CONNECT)
             self._stack = stack.pop_all()
+
+    def _start_workers(self, stack: ExitStack) -> str:
+        """Start workers on this machine, which the stack stops, and return the address of their scheduler.
+
+        Raises InputError if they do not start.
+        """
+        if getattr(current_process(), "_inheriting", False):  # as multiprocessing tests it
+            sys.exit(0)  # this process is such a worker, which runs its parent's script first; the parent says so
+        cores = len(os.sched_getaffinity(0))
+        # Ctrl-C waits until they have started, and is never theirs: the stack stops them. They inherit this mask,
+        # unless multiprocessing starts its tracker, which unblocks the signal, with the first of them.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            local = self._dask.LocalCluster(
+                n_workers=cores, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
+            )
+            stack.callback(local.close)
+            return str(local.scheduler_address)
+        except RuntimeError as error:
+            raise InputError(
+                f"the workers of this machine do not start ({str(error).removesuffix('.')}). In a script, put the call "
+                "under \"if __name__ == '__main__':\", as each worker imports the script"
+            ) from None
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def __enter__(self) -> Self:
         return self

@@ -214,6 +214,12 @@ class MeasurementModel:
         return np.array([self.robot.bodies[index].parameters for index in self.identified]).ravel()
 
     @property
+    def unidentified_mass(self) -> float:
+        """URDF mass of all links that are not identified, fixed ones included [kg]."""
+        every = sum(float(parameters[0]) for parameters in self.robot.tree.inertials.values())
+        return every - float(np.sum(self.nominal_inertias[::10]))
+
+    @property
     def nominal_parameters(self) -> FloatArray:
         """Nominal parameters ``(D,)``: the URDF's inertias and no effects."""
         return np.append(self.nominal_inertias, np.zeros(len(self.coefficients)))

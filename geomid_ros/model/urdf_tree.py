@@ -12,7 +12,7 @@ from typing import Any
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder, tostring
 
 import numpy as np
-from defusedxml.common import DefusedXmlException
+from defusedxml.common import DefusedXmlException, DTDForbidden
 from defusedxml.ElementTree import DefusedXMLParser, ParseError
 
 from geomid_ros.errors import InputError
@@ -161,7 +161,8 @@ def read_xml(text: str, source: str) -> Element:
     except (ParseError, DefusedXmlException, ValueError) as error:
         if "<xacro:" in text:
             raise _is_xacro(source) from error
-        raise InputError(f"{source}: not a URDF, its XML cannot be read ({error})") from error
+        reason = f"it has a <!DOCTYPE {error.name}>" if isinstance(error, DTDForbidden) else error
+        raise InputError(f"{source}: not a URDF, its XML cannot be read ({reason})") from error
     if robot.tag != "robot":
         hint = _OTHER_FORMATS.get(robot.tag, "")
         raise InputError(f"{source}: not a URDF, its root element is <{robot.tag}> instead of <robot>{hint}")

@@ -126,8 +126,6 @@ def _body(robot: Robot, link: str) -> int:
 
 def _known_mass(model: MeasurementModel, given: WeighedMass, bodies: Sequence[int]) -> float:
     """Return the URDF's mass [kg] of weighed links that are not identified."""
-    masses = [float(body.parameters[0]) for body in model.robot.bodies]
     if given.links == (TOTAL,):
-        total = sum(float(parameters[0]) for parameters in model.robot.tree.inertials.values())
-        return total - sum(masses[body] for body in model.identified)
-    return sum(masses[body] for body in bodies if body not in model.identified)
+        return model.unidentified_mass
+    return sum(float(model.robot.bodies[body].parameters[0]) for body in bodies if body not in model.identified)

@@ -38,11 +38,12 @@ _RECORD = {
     "reversals": "the joint back and forth, at several positions, with small and large strokes",
     "unknown": "the same motion again, to check whether the residual repeats",
 }
-CONFIDENCE: dict[Confidence, str] = {
-    "confident": "nothing else explains the data as well",
-    "tentative": "the best explanation, but the evidence is weak",
-    "ambiguous": "other effects explain the data as well",
+CONFIDENCE: dict[Confidence, tuple[str, str]] = {
+    "confident": ("sure", "nothing else explains the data as well"),
+    "tentative": ("tentative", "the best explanation, but the evidence is weak"),
+    "ambiguous": ("ambiguous", "other effects explain the data as well"),
 }
+"""Word of each confidence, and what it means."""
 
 
 def effect_name(effect: str) -> str:

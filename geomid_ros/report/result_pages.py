@@ -99,7 +99,7 @@ class RobotLine:
         unlike: its deviations from the other robots, in words.
         distance: distance from the others, in standard deviations; None without others to compare with.
         changed: changes since an earlier run, in words.
-        mass: mass of all links [kg].
+        mass: mass of the identified links [kg].
     """
 
     name: str

@@ -24,6 +24,7 @@ from geomid_ros.model.controller import Gains
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
 from geomid_ros.model.moving_base import Contact
 from geomid_ros.model.weighed_masses import WeighedMass
+from geomid_ros.options import named_once
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
@@ -56,6 +57,7 @@ class Parameter:
 
     def checked(self, name: str, value: Any) -> Value:
         """Return a value of this parameter, whose full name is ``name``. Raises InputError if it does not fit."""
+        value = _of_python(value)
         if isinstance(self.default, float):
             value = _real(value)
         if isinstance(self.default, list):
@@ -73,7 +75,7 @@ class Parameter:
 
 
 def _checked_list(name: str, value: Any, kind: type) -> list[Any]:
-    entries = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+    entries = [*map(_of_python, value)] if isinstance(value, (list, tuple)) else [value]
     if kind is float:
         entries = [_real(entry) for entry in entries]
     valid = all(isinstance(entry, kind) for entry in entries)
@@ -81,6 +83,11 @@ def _checked_list(name: str, value: Any, kind: type) -> list[Any]:
         expected = "finite numbers" if kind is float else "texts"
         raise InputError(f"{name} is {value!r}, expected a list of {expected}")
     return [entry for entry in entries if entry != ""]
+
+
+def _of_python(value: Any) -> Any:
+    """Convert a scalar or an array of numpy to Python's types; return any other value unchanged."""
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _real(value: Any) -> Any:
@@ -326,8 +333,9 @@ class Configuration:
     @property
     def gains(self) -> dict[str, Gains]:
         """Gains by joint, those of all other joints under an empty name; none if efforts are measured."""
-        pairs = (entry.rpartition("=") for entry in self["command.gains"])
-        return {joint: self.naming_source("command.gains: ", partial(Gains.parse, text)) for joint, _, text in pairs}
+        texts = (entry.rpartition("=") for entry in self["command.gains"])
+        pairs = ((joint, self.naming_source("command.gains: ", partial(Gains.parse, text))) for joint, _, text in texts)
+        return named_once(f"{self.source}: command.gains", pairs, "for each joint its own: JOINT=KP:KD")
 
     @property
     def sensors(self) -> list[WrenchSensor]:

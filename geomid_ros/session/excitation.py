@@ -224,7 +224,7 @@ def _feasibility(
         raise InputError(
             f"--start has {len(wish.start)} numbers, expected {len(names)}: those of {', '.join(names)} [rad, m]"
         )
-    candidates = [np.array(wish.start)] if wish.start else list(start_postures(limits))
+    candidates = [np.array(wish.start)] if len(wish.start) else list(start_postures(limits))
     unwatched = without_touching(collision, candidates[0]) if collision is not None else ()
     errors = []
     for start in candidates:
@@ -232,7 +232,7 @@ def _feasibility(
             return Feasibility(belief, limits, start, collision, wish.clearance), unwatched
         except InputError as error:
             errors.append(error)
-    if wish.start:
+    if len(wish.start):
         raise errors[0]
     reason = f"no feasible start was found among {len(errors)} postures; the first one: {errors[0]}"
     if wish.avoid:

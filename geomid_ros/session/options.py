@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from geomid_ros.errors import InputError
 from geomid_ros.options import Options, Progress, option, silent
 
 if TYPE_CHECKING:
@@ -27,8 +28,11 @@ Gains: TypeAlias = float | str | Sequence[float | str] | Mapping[str, float]
 
 
 def paths(given: Paths) -> list[Path]:
-    """Return one path or several as a list."""
-    return [Path(path) for path in ([given] if isinstance(given, str | Path) else given)]
+    """Return one path or several as a list. Raises InputError for anything else."""
+    result = [given] if isinstance(given, str | Path) or not isinstance(given, Iterable) else list(given)
+    if wrong := [path for path in result if not isinstance(path, str | Path)]:
+        raise InputError(f"{wrong[0]!r} is not a path")
+    return [Path(path) for path in result]
 
 
 def texts(given: Texts) -> list[str]:
@@ -107,9 +111,9 @@ class MotionOptions(Surroundings, DescriptionOptions):
         progress: called with the current stage and its completed share, 0 to 1.
     """
 
-    model: PathLike | None = option(flag="--from")
+    model: PathLike | None = option(flag="--from", file="estimate.json")
     aim: str = option("prediction", flag="--for", metavar="AIM")
-    discriminate: PathLike | None = option(earlier="--settle")
+    discriminate: PathLike | None = option(earlier="--settle", file="gap.json")
     limits: PathLike | None = None
     duration: float = option(20.0, min=2.0, max=600.0)
     repeats: int = option(2, min=1, max=20)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
 
 import numpy as np
 
-from geomid_ros.checks.causes import RecordingFault
-from geomid_ros.checks.verdict import Verdict, recording_verdict
+from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.verdict import DOUBTFUL, Verdict, is_worse, recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, UncertainInertia, identified, quantities_and_moments
 from geomid_ros.estimation.estimator import WarmStart, estimate
@@ -28,6 +28,8 @@ from geomid_ros.monitoring.payload_watch import PayloadWatch
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
+
+_NOTHING = slice(0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,11 +123,15 @@ def identify_payload(
     first = 10 * len(model.identified)
     payload = slice(first, first + 10)
     settings = session.configuration.estimator([channel.name for channel in model.channels])
-    identifier = Identifier(carrying, settings, session.configuration.buffer)
-    for samples in () if isinstance(empty, Posterior) else empty:
-        identifier.add(samples, payload)
-    for samples in loaded:
-        identifier.add(samples)
+
+    def summarised(not_of_empty: slice, not_of_loaded: slice) -> RowSummary:
+        identifier = Identifier(carrying, settings, session.configuration.buffer)
+        for samples in () if isinstance(empty, Posterior) else empty:
+            identifier.add(samples, not_of_empty)
+        for samples in loaded:
+            identifier.add(samples, not_of_loaded)
+        return identifier.snapshot()
+
     prior, known = np.full(carrying.dimension, np.nan), None
     prior[payload] = default_payload(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
     if isinstance(empty, Posterior):
@@ -133,14 +139,35 @@ def identify_payload(
         prior = np.where(order >= 0, empty.prior[order], prior)
         known = WeighedRows(np.where(order >= 0, rows[:, order], 0.0), targets)
     prior_stds = np.append(np.full(len(model.identified), DEFAULT_PRIOR_STD), PAYLOAD_PRIOR_STD)
-    summary = identifier.snapshot()
+    summary = summarised(payload, _NOTHING)
     solve = partial(estimate, carrying, settings=settings, prior=prior, prior_stds=prior_stds, known=known)
     fit = solve(summary)
     with_gains = [
         solve(rescaled, warm=WarmStart(fit.parameters, spreads=fit.prior_stds))
         for rescaled in _with_gain(summary, fit, gain, payload)
     ]
-    return _payload(link, fit, gain, with_gains, session)
+    result = _payload(link, fit, gain, with_gains, session)
+    if "mass" not in result.cannot_tell or isinstance(empty, Posterior):
+        return result
+    swapped = summarised(_NOTHING, payload)
+    return _doubted(result) if _explains_less(summary, fit, swapped, solve(swapped)) else result
+
+
+def _explains_less(rows: RowSummary, fit: Estimate, swapped: RowSummary, other: Estimate) -> bool:
+    """True if a fit explains its rows less than another one explains them with the payload in the other recording."""
+    errors = (rows.rms_by_fold(fit.parameters), swapped.rms_by_fold(other.parameters))
+    return is_worse(*(np.nansum((each / np.maximum(fit.rms, np.finfo(float).tiny)) ** 2, axis=1) for each in errors))
+
+
+def _doubted(payload: WeighedPayload) -> WeighedPayload:
+    """Add the finding that the recordings are in the wrong order."""
+    sentence = (
+        f"'{payload.link}' carries less in the second recording than in the first: are the recordings without (EMPTY) "
+        "and with the payload (LOADED) swapped?"
+    )
+    fault = RecordingFault(cause=Cause(kind="swapped", sentence=sentence, places=(payload.link,)))
+    verdict = replace(payload.verdict, word=DOUBTFUL, reasons=(sentence, *payload.verdict.reasons))
+    return replace(payload, findings=(fault, *payload.findings), verdict=verdict)
 
 
 def _with_gain(rows: RowSummary, fit: Estimate, gain: float, columns: slice) -> Iterator[RowSummary]:

@@ -34,7 +34,7 @@ from geomid_ros.model.shapes import volume
 from geomid_ros.model.urdf_tree import inertial_parameters, read_xml
 from geomid_ros.session.setup import Setup
 from geomid_ros.signals.joint_gate import LEAP
-from geomid_ros.signals.ledger import Account, Ledger, Reason, meaning_of
+from geomid_ros.signals.ledger import Account, Ledger, Meaning, Reason, meaning_of
 from geomid_ros.signals.messages import IMU, message_type
 from geomid_ros.types import FloatArray
 
@@ -119,8 +119,12 @@ def peculiarities(accounts: Mapping[str, Account]) -> list[str]:
             remarks.append(
                 f"{topic}: {summary}, {fraction} of them: {reason}{_OFTEN if meaning_of(reason) == 'repeated' else ''}"
             )
-        remarks += [f"{topic}: {remark}" for remark in account.noted if meaning_of(remark) == "told"]
-    return remarks
+    return [*remarks, *_noted(accounts, "told")]
+
+
+def _noted(accounts: Mapping[str, Account], meaning: Meaning) -> list[str]:
+    """Remarks of this meaning, with their topics."""
+    return [f"{topic}: {r}" for topic, account in accounts.items() for r in account.noted if meaning_of(r) == meaning]
 
 
 _DENSEST = 22_590.0
@@ -336,11 +340,11 @@ class Review:
         """Remarks in sentences that do not make results doubtful."""
         names = ", ".join(dict.fromkeys(self._unchecked))
         unchecked = [f"{names}: no CRCs; corruption cannot be detected"] if names else []
-        return [*self.settled, *unchecked]
+        return [*self.settled, *unchecked, *_noted(self._ledger.topics, "note")]
 
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are from another recording, and which parts of it are missing."""
-        self.check.begin_recording()
+        self.check.begin_recording(bag.path.name)
         self._imus += [topic for topic, kind in bag.topics.items() if kind == message_type(IMU)]
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
         self._unchecked += [] if bag.has_checksums else [bag.path.name]

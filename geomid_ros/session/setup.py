@@ -191,6 +191,8 @@ class Setup:
             on_accepted=on_accepted,
             ledger=ledger,
             received_joints=self.received_joints,
+            locked_joints=self.locked_joints,
+            still_distance=self.configuration["still_distance"],
             mount=self._imu_mount,
             loads=None if self.model.legs is None else self.model.legs.loads,
             controller=self.controller,

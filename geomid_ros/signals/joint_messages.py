@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from math import tau
 
 import numpy as np
@@ -157,9 +157,9 @@ class JointReader:
                 raise RejectedError(driver_error(f"joint '{duplicate}' is named twice"))
             if missing := missing_joint(self._joints, names):
                 raise RejectedError(missing)
-            extra = next((name for name in names if name not in self._joints), None)
-            if extra is not None:
-                self._note_once(f"joint '{extra}' is not an actuated joint of the robot; ignored")
+            if extra := [name for name in names if name not in self._joints]:
+                listing = ", ".join(map(repr, extra))
+                self._note_once(Reason(f"ignored, no moving joints of the robot: {listing}", "note"))
             self._names = names
             self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
         return self._order
@@ -246,6 +246,43 @@ class JointReader:
         made_up: BoolArray = all_zero & ((last_moved > last_nonzero) | (self._made_up & (last_nonzero < 0)))
         self._made_up = bool(made_up[-1])
         return made_up
+
+
+class LockedJoints:
+    """Joints that count as fixed at zero, and what messages say of them nevertheless."""
+
+    def __init__(self, joints: Collection[str], apart: float, note: Callable[[str], None]) -> None:
+        """
+        Args:
+            joints: their names.
+            apart: distance between two positions that differ [rad, m].
+            note: receives remarks.
+        """
+        self._joints, self._apart, self._note = frozenset(joints), apart, note
+        self._first: dict[str, float] = {}  # where they stand
+        self._moving: set[str] = set()
+
+    def watch(self, block: Block) -> None:
+        """Note which of the joints do not stand at zero in joint messages, and which of them move."""
+        for joint in sorted(self._joints.intersection(block.names) - self._moving):
+            place = block.names.index(joint)
+            positions = block.arrays[0][:, place : place + 1]
+            positions = positions[plausible(positions)]
+            if not len(positions):
+                continue
+            if joint not in self._first:
+                self._first[joint] = first = float(positions[0])
+                if self._are_apart(first, 0.0):
+                    self._note(Reason(f"joint '{joint}' is locked at zero, but stands at {first:.3g}", "told"))
+            if np.any(self._are_apart(positions, self._first[joint])):
+                self._moving.add(joint)
+                sentence = f"joint '{joint}' is locked at zero, but moves: take it out of locked_joints (--lock)"
+                self._note(Reason(sentence, "driver error"))
+
+    def _are_apart(self, positions: FloatArray | float, other: float) -> BoolArray:
+        """True for positions that differ from another one by more than whole turns."""
+        distance = np.abs(np.subtract(positions, other))
+        return np.asarray(np.abs(distance - tau * np.rint(distance / tau)) > self._apart)
 
 
 def _check_lengths(block: Block) -> None:

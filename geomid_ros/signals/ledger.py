@@ -15,14 +15,15 @@ from geomid_ros.signals.settings import LONGEST_REASON, MOST_KINDS
 
 _OTHER = "other reasons"
 _HEADING = "driver error: "
-Meaning: TypeAlias = Literal["", "driver error", "told", "repeated", "frame"]
+Meaning: TypeAlias = Literal["", "driver error", "told", "note", "repeated", "frame"]
 
 
 class Reason(str):
     """Reason why messages were not used, or a remark on them, in words. ``meaning`` is the consequence:
 
     - ``driver error``: the driver fills in its messages wrongly, so all of them are doubtful;
-    - ``told``: reported to the user, though the other messages are usable; ``frame``: a wrench is in another frame;
+    - ``told``: reported to the user, though the other messages are usable; ``note``: reported, but as no warning;
+    - ``frame``: a wrench is in another frame;
     - ``repeated``: the driver may publish more often than it measures.
     """
 

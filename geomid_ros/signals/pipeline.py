@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from itertools import repeat
@@ -22,7 +22,7 @@ from geomid_ros.model.controller import PDController
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_gate import JointGate
-from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_messages import JointReader, LockedJoints, RejectedError
 from geomid_ros.signals.joint_state_merger import SILENT, JointStateMerger, Part
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.message_batch import (
@@ -67,6 +67,8 @@ class SignalPipeline:
         on_accepted: Callable[[AcceptedMessages], None] = ignore,
         ledger: Ledger | None = None,
         received_joints: set[str] | None = None,
+        locked_joints: Collection[str] = (),
+        still_distance: float = 0.0,
         mount: ImuMount | None = None,
         loads: Callable[[Samples], FloatArray] | None = None,
         controller: PDController | None = None,
@@ -85,6 +87,8 @@ class SignalPipeline:
             on_accepted: called with all accepted messages, in the form that :meth:`push_accepted` takes.
             ledger: counts all messages.
             received_joints: set to which the names of joints in messages are added.
+            locked_joints: joints that count as fixed at zero; remarks tell if messages contradict that.
+            still_distance: distance between two of their positions that differ [rad, m].
             mount: pose of the IMU on a floating base; its messages come on IMU.
             loads: function for the feet's loads, from which their stance follows; see
                 :class:`~geomid_ros.signals.moving_base.Stance`.
@@ -109,6 +113,7 @@ class SignalPipeline:
         self._on_accepted, self._commanded = on_accepted, controller is not None
         resolved = round(0.5e9 / settings.cutoff)
         note = partial(self.ledger.note, JOINT_STATES)
+        self._locked = LockedJoints(locked_joints, still_distance, note)
         self._parts = JointStateMerger(self._joints, self._max_gap, resolved, self._new_reader, note, settings.merge)
         self._admission = ReorderBuffer(self._new_gate, self.ledger.note)
         self._arrived = 0  # number of messages
@@ -203,8 +208,10 @@ class SignalPipeline:
         """Read the messages, each by itself, grouped by source."""
         groups: dict[Source, list[MessageBatch]] = {}
         for block in blocks:
-            if block.topic == JOINT_STATES and len(self.received_joints) < MOST_WAITING:
-                self.received_joints.update(block.names)
+            if block.topic == JOINT_STATES:
+                self._locked.watch(block)
+                if len(self.received_joints) < MOST_WAITING:
+                    self.received_joints.update(block.names)
             try:
                 source = block.topic, self._parts.part(block.names) if block.topic == JOINT_STATES else ()
             except RejectedError as error:

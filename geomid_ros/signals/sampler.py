@@ -193,11 +193,13 @@ class Sampler:
 
     def _repeated(self) -> str:
         """Sentence on joint messages that only repeat the one before, which lowers the rate; empty if none do."""
-        account = self._ledger.topics.get(JOINT_STATES, Account())
-        if not (repeated := account.rejected[FROZEN]):
+        rejected = self._ledger.topics.get(JOINT_STATES, Account()).rejected
+        if not (repeated := rejected[FROZEN]):
             return ""
+        # Accepted ones all wait for the period, and are in the ledger only after they have been taken.
+        count = rejected.total() + sum(len(each) for each in self._waiting if each.topic == JOINT_STATES)
         return (
-            f". Of the first {account.received} messages on {JOINT_STATES} {repeated} only repeat the one before "
+            f". Of the first {count} messages on {JOINT_STATES} {repeated} only repeat the one before "
             "though the robot moves, and are left out: the driver publishes more often than it measures"
         )
 

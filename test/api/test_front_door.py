@@ -63,7 +63,7 @@ def test_every_name_is_what_a_type_checker_takes_it_for(name: str) -> None:
 
 def test_there_are_no_other_names() -> None:
     assert typed().keys() == set(geomid_ros.__all__)
-    assert set(geomid_ros.__all__) <= set(dir(geomid_ros))
+    assert set(dir(geomid_ros)) == {*geomid_ros.__all__, "__version__"}
     with pytest.raises(AttributeError, match="'geomid_ros' has no attribute 'indentify'"):
         _ = geomid_ros.indentify
 

@@ -7,14 +7,24 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 from files.recordings import BAGS
 
 import geomid_ros
-from geomid_ros.api.options import FleetOptions, IdentifyOptions, PayloadOptions, RecordingOptions, RobotOptions
+from geomid_ros.api.options import (
+    ComparedResults,
+    ExportOptions,
+    FleetOptions,
+    IdentifyOptions,
+    PayloadOptions,
+    RecordingOptions,
+    RobotOptions,
+)
 from geomid_ros.api.robot import configuration
 from geomid_ros.commands import root
 from geomid_ros.options import explained
@@ -90,6 +100,35 @@ def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
     }
 
 
+def test_names_are_separated_by_commas_as_on_the_command_line() -> None:
+    options = IdentifyOptions(BAG, links="link2, link3", effects="none", candidates="none")
+    assert (options.links, options.effects, options.candidates) == (["link2", "link3"], [], [])
+
+
+def test_none_is_the_default() -> None:
+    """For a script that hands its own options on."""
+    given = [each for each in fields(IdentifyOptions) if each.name != "bags"]
+    assert vars(IdentifyOptions(BAG, **{each.name: None for each in given})) == vars(IdentifyOptions(BAG))
+
+
+def test_a_folder_stands_for_the_result_in_it(tmp_path: Path) -> None:
+    assert RecordingOptions(model=tmp_path).model == tmp_path
+    (tmp_path / "estimate.json").touch()
+    for given in (tmp_path, str(tmp_path), tmp_path / "estimate.json"):
+        assert Path(str(RecordingOptions(model=given).model)) == tmp_path / "estimate.json"
+        assert ComparedResults(given, "robot.urdf").first == ExportOptions(given, "ur").model
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    own = {"filter.cutoff": 8.0, "gravity": [0.0, 0.0, -9.75], "effort_gain": 2.0, "floating_base": True}
+    gravity = [*np.array([0.0, 0.0, -9.75])]
+    chosen = RobotOptions(cutoff=np.float64(8.0), gravity=gravity, gain=np.float32(2.0), floating_base=np.bool_(True))
+    assert configuration(chosen).given_values == own
+    start = np.array([0.3, 0.4, 0.5])
+    motion = geomid_ros.excite(URDF, duration=np.int64(4), repeats=1, start=start, collision=False)
+    np.testing.assert_allclose(motion.trajectory.positions[0], start, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
@@ -97,11 +136,22 @@ def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
         ({"lock": ["joint1", ""]}, "lock: the text is empty"),
         ({"cutoff": -1.0}, "filter.cutoff is -1"),
         ({"gravity": (0.0, 9.81)}, "gravity has 2 entries"),
+        ({"gain": [1.0, 1.0, 2.0]}, "gain: all joints given more than once; for each joint its own: {'JOINT': 2.0"),
+        ({"gain": np.ones(2)}, "gain: all joints given more than once"),
+        ({"gain": ["joint1=2", "joint1=3"]}, "gain: 'joint1' given more than once"),
+        ({"gain": {"joint1": "fast"}}, "gain: 'joint1=fast' is not of the form"),
+        ({"hold_out": "0.3"}, "hold_out is '0.3', expected a number"),
+        ({"cut_off": 3.0}, "unknown argument 'cut_off'. Did you mean 'cutoff'"),
+        ({"urdf": URDF, "bags": BAG}, "identify: multiple values for argument 'bags'"),
+        ({"bags": None}, "bags is missing"),
+        ({"bags": np.zeros(3)}, r"0\.0\S* is not a path"),
+        ({"bags": BAG, "links": "link2,,link3"}, "links: the text is empty"),
+        ({"gains": ["20:4", "30:4"]}, "command.gains: all joints given more than once"),
     ],
 )
 def test_a_wrong_argument_is_named(wrong: dict[str, Any], said: str) -> None:
     with pytest.raises(geomid_ros.InputError, match=said):
-        geomid_ros.identify(BAG, URDF, **wrong)
+        geomid_ros.identify(*([] if "bags" in wrong and "urdf" not in wrong else [BAG]), **{"urdf": URDF} | wrong)
 
 
 def test_what_an_option_sets_is_a_parameter_of_its_type() -> None:
@@ -119,6 +169,7 @@ def test_what_an_option_sets_is_a_parameter_of_its_type() -> None:
     [
         ({"duration": 1.9}, "duration is 1.9, expected 2 <= duration <= 600"),
         ({"duration": math.inf}, "duration is inf"),
+        ({"repeats": 2.5}, "repeats is 2.5, expected a whole number"),
         ({"repeats": 0}, "repeats is 0, expected 1 <= repeats <= 20"),
         ({"speed": 0.0}, "speed is 0, expected 0 < speed <= 1"),
         ({"clearance": -1.0}, "clearance is -1, expected 0 <= clearance$"),

@@ -107,6 +107,20 @@ def test_something_is_taken_up_or_put_down(robot: Case, mass: float) -> None:
     assert float(size) == pytest.approx(1.0, rel=0.5)
 
 
+def test_the_bag_in_which_something_changes_is_named(robot: Case) -> None:
+    """The second one was recorded an hour later."""
+    heavy = felt(robot, loaded(robot.true, 1.0))
+    recorded = replace(robot.samples, effort=np.where(later(robot), heavy, felt(robot, robot.true)))
+    border = int(np.argmax(later(robot)))
+    check = RecordingCheck(CheckTask(robot.model, np.ones(len(robot.model.robot.joints)), {}))
+    for bag, pause, part in (("bare", 0, slice(border)), ("carrying", 3600 * 10**9, slice(border, None))):
+        check.begin_recording(bag)
+        samples = recorded.select(part)
+        check.add(replace(samples, stamps=samples.stamps + pause))
+    (finding,) = check.findings()
+    assert re.search("from about 0 s of 'carrying' on", finding.sentence), finding
+
+
 def test_all_efforts_change_by_a_factor(robot: Case) -> None:
     effort = np.where(later(robot), 0.6, 1.0) * robot.samples.effort
     cause = changed(robot, replace(robot.samples, effort=effort), "drift")

@@ -52,7 +52,7 @@ def fits(monkeypatch: pytest.MonkeyPatch, joints: int) -> tuple[int, list[tuple[
     with monkeypatch.context() as patch:
         for module in (effort_data, baseline_fit):
             patch.setattr(module, "evidence", counted(module.evidence))
-        kept = KeptSamples(measured, measured, np.zeros(len(measured), dtype=np.int64))
+        kept = KeptSamples(measured, measured, np.zeros(len(measured), dtype=np.int64), np.full(len(measured), ""))
         found = check_efforts(MeasurementModel(robot, ()), kept, np.ones(joints)).findings
     return count, [finding.cause.places for finding in found]
 

@@ -104,8 +104,8 @@ def test_what_one_of_two_recordings_shows_is_a_remark(robot: Case) -> None:
     sound = samples(moving, efforts(own, robot.true, moving))
     wrong = replace(robot.samples, effort=np.where(np.arange(len(own.joints)) == 1, -1.0, 1.0) * robot.samples.effort)
     check = RecordingCheck(CheckTask(robot.model, np.ones(len(own.joints)), {}))
-    for recorded in (wrong, sound):
-        check.begin_recording()
+    for bag, recorded in (("wrong", wrong), ("sound", sound)):
+        check.begin_recording(bag)
         check.add(recorded)
     assert all(finding.cause.kind != "sign" for finding in check.findings())
     assert checked(robot.model, wrong).findings() != ()

@@ -117,5 +117,6 @@ def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:
     impossible = tmp_path / "impossible.urdf"
     impossible.write_text(re.sub('izz="[^"]*"', 'izz="9"', urdf.read_text(), count=1))
     assert "'geomid prior URDF --mass KG'" in refused("export", impossible, "--for", "mujoco")
+    assert "not an MJCF" in refused("export", urdf, "--for", "mujoco", "--into", urdf)
     both = ("--into", "robot.xml", "--frame", "tool")
     assert "into and frame exclude each other" in refused("export", urdf, "--for", "mujoco", *both)

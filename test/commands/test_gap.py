@@ -101,6 +101,9 @@ def test_the_terminal_and_the_page_say_the_same(found: tuple[Path, str]) -> None
     assert sentence in page
     assert f"<li>{sure.strip()} {what}</li>" in page
     assert "Resimulation" in page
+    assert re.search(r"Findings \(sure ones .* %, sure ", " ".join(text.split()))
+    assert re.search(r">sure\b", page)
+    assert "confident" not in text
 
 
 def test_the_written_model_has_what_was_found(found: tuple[Path, str]) -> None:

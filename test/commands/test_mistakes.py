@@ -316,3 +316,58 @@ def test_too_little_memory_is_said_in_one_sentence(megabytes: int, module: str) 
     assert "Traceback" not in result.stderr
     assert result.returncode == 2
     assert result.stderr.splitlines()[-1].endswith("check limits such as ulimit -v")
+
+
+def test_ctrl_c_is_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of ``verify``, status 1 says that a requirement does not hold."""
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("geomid_ros.commands.check_memory", interrupted)
+    ended = geomid("verify", "estimate.json", "--validate", BAG)
+    assert (ended.exit_code, ended.output) == (130, "Interrupted.\n")
+
+
+def printed(out: int, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """``geomid`` with this file as its standard output."""
+    code = "from geomid_ros.commands import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        env=os.environ | environment,
+        stdout=out,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+
+
+def test_output_that_nobody_reads_costs_no_result(tmp_path: Path) -> None:
+    """As by ``| head``."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    ended = printed(writer, "identify", BAG, *ROBOT, *NO_CHOICE, "--no-report", "--out", tmp_path)
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert (tmp_path / "estimate.json").is_file()
+
+
+def test_output_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
+    with Path("/dev/full").open("wb") as full:
+        ended = printed(full.fileno(), "--help")
+    assert ended.returncode == 2
+    assert ended.stderr == "Error: standard output cannot be written: No space left on device\n"
+    with (tmp_path / "ascii").open("wb") as file:
+        ended = printed(
+            file.fileno(),
+            "identify",
+            BAG,
+            *ROBOT,
+            *NO_CHOICE,
+            "--no-report",
+            "--out",
+            tmp_path,
+            PYTHONIOENCODING="ascii",
+        )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "In the tables ? is one standard deviation." in (tmp_path / "ascii").read_text()

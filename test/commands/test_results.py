@@ -42,6 +42,7 @@ def test_the_model_leaves_what_it_left_when_it_was_identified(model: Path) -> No
         if channel.startswith("joint"):  # of the wrench the model's offset is taken away before
             assert numbers["urdf"] == pytest.approx(rms["nominal"][channel], rel=0.02), channel
     assert found.passed
+    assert repr(found).startswith("Verification of arm3: passed; RMS residual\n  joint1: value ")
 
 
 def test_requirements_that_hold(model: Path) -> None:
@@ -57,6 +58,13 @@ def test_a_requirement_that_does_not_hold(model: Path) -> None:
     assert result.exit_code == 1
     assert result.stdout.count("passed") == 1
     assert "FAILED: 1 of 2 requirements hold" in " ".join(result.stdout.split())
+
+
+def test_the_total_mass_is_that_of_the_whole_robot(model: Path) -> None:
+    """As ``--known total=`` takes it: the base counts, too."""
+    (total,) = geomid_ros.verify(model.parent, BAG, URDF, wrench=WRIST[1], require="total.mass<2*urdf").outcomes
+    assert total.value == pytest.approx(3.0 + sum(link["mass"] for link in read(model.parent)["links"]))
+    assert total.bound == f"< {2 * (3.0 + 2.2 + 1.7 + 1.0 + 0.5):.4g}"
 
 
 def altered(model: Path, folder: Path, **entries: Any) -> Path:

@@ -57,6 +57,26 @@ def test_a_gripper_in_no_message_is_locked_as_if_it_had_been_named(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
+    ("moving", "status", "said"),
+    [
+        (False, 0, "Warning: joint_states: joint 'finger_joint1' is locked at zero, but stands at 0.03"),
+        (True, 4, "DOUBTFUL: joint_states: joint 'finger_joint1' is locked at zero, but moves"),
+    ],
+)
+def test_a_locked_joint_has_to_stand(moving: bool, status: int, said: str, tmp_path: Path) -> None:
+    (tmp_path / "hand.urdf").write_text(with_gripper())
+    bag = changed(tmp_path / "bag", lambda n, values: ([*n, "finger_joint1"], [*values, values[0] if moving else 0.03]))
+    arguments = ("identify", bag, "--urdf", tmp_path / "hand.urdf", "--lock", "finger_joint1", "--no-report")
+    assert said in " ".join(done(*arguments, "--out", tmp_path, status=status).split())
+
+
+def test_joints_that_the_robot_lacks_are_noted(tmp_path: Path) -> None:
+    bag = changed(tmp_path / "bag", lambda names, values: ([*names, "finger", "thumb"], [*values, 0.0, 0.0]))
+    said = "Note: joint_states: ignored, no moving joints of the robot: 'finger', 'thumb'"
+    assert said in " ".join(done("payload", BAG, bag, "--urdf", URDF, "--frame", "tool").split())
+
+
+@pytest.mark.parametrize(
     "case",
     ["heavy", "a sensor behind it", "an unknown name in the messages", "a joint behind it", "not at all in one bag"],
 )

@@ -95,6 +95,7 @@ def test_errors_that_are_opposite_about_the_middle_are_seen() -> None:
 def test_the_motion_stays_what_it_is(accelerated: bool) -> None:
     given = motion(accelerated, 6)
     result = geomid_ros.feedforward(given, None, urdf=URDF, tolerance=1e-3)
+    assert repr(result).startswith("Trajectory with efforts: ")
     found = result.trajectory
     assert np.all(result.errors > 0.0)
     assert np.all(result.errors < (1e-3 if accelerated else 1.0) * result.largest)

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import operator
+import os
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+import geomid_ros
 from geomid_ros.errors import InputError
 from geomid_ros.fleet.fleet import Cluster, failure
 
@@ -30,6 +36,24 @@ def test_every_task_ends_once_and_a_failure_costs_itself(local: distributed.Loca
     assert isinstance(error := found.pop(0), ZeroDivisionError)
     assert failure(error) == "ZeroDivisionError: division by zero"
     assert all(value == 6 / place for place, value in found.items())
+
+
+def test_a_script_that_its_workers_would_run_again_is_told(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text("from geomid_ros.fleet.fleet import Cluster\nCluster(None)\n")
+    path = {"PYTHONPATH": str(Path(geomid_ros.__file__).parents[1])}
+    ended = subprocess.run(
+        [sys.executable, tmp_path / "script.py"], env=os.environ | path, capture_output=True, text=True, check=False
+    )
+    *_, last = ended.stderr.splitlines()
+    assert "InputError: the workers of this machine do not start" in last
+    assert last.count("put the call under") == ended.stderr.count("Traceback") == 1
+
+
+def test_ctrl_c_is_not_for_workers() -> None:
+    with Cluster(None) as cluster:
+        masks = cluster._client.run(signal.pthread_sigmask, signal.SIG_BLOCK, ()).values()
+    assert all(signal.SIGINT in mask for mask in masks)
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_tasks_that_a_scheduler_forgot_are_done_after_all(local: distributed.LocalCluster) -> None:

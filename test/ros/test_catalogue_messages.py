@@ -221,7 +221,7 @@ STREAMS = {
     ),
     "11-extra-joints": Stream(
         joints_only(lambda item, _: with_others(item)),
-        ("joint_states: joint 'finger' is not an actuated joint of the robot; ignored",),
+        ("joint_states: ignored, no moving joints of the robot: 'finger', 'thumb'",),
         spare=lambda item, *_: item,
     ),
 }

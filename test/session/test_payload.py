@@ -89,6 +89,15 @@ def test_a_planted_payload_is_found_within_its_deviations() -> None:
     assert abs(weighed(0).mass - MASS) < 0.05 * MASS
 
 
+def test_recordings_in_the_wrong_order_are_doubted() -> None:
+    """Not those that carry the same."""
+    link = session().model.body_names[-1]
+    for before, after in ((True, False), (False, False), (True, True)):
+        found = identify_payload(session(), [recording(1, before)], [recording(2, after)], link)
+        doubts = [reason for reason in found.verdict.reasons if "swapped?" in reason]
+        assert (found.verdict.word, len(doubts)) == (("doubtful", 1) if before > after else ("usable", 0))
+
+
 def weighed_beside(estimate_of: Samples, seed: int) -> WeighedPayload:
     """Weighed by the recording with the payload and what an estimate without it told."""
     bare = session()

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_messages import JointReader, LockedJoints, RejectedError
 from geomid_ros.signals.joint_state_merger import JointStateMerger
 from geomid_ros.signals.message_batch import plausible
+from geomid_ros.signals.messages import Block
 
 from .feeding import START, read
 from .sent import JointMessage
@@ -157,7 +158,29 @@ def test_peculiarities_are_noted_once_and_not_without_end() -> None:
             own, message(2 + index, names=names, position=(0.1 * index, 0.0, 0.0), velocity=(), effort=(1.0, 2.0, 3.0))
         )
     assert len(notes) == len(NAMES) + 10
-    assert notes[1] == "joint 'extra 0' is not an actuated joint of the robot; ignored"
+    assert notes[1] == "ignored, no moving joints of the robot: 'extra 0'"
+
+
+@pytest.mark.parametrize(
+    ("positions", "said"),
+    [
+        ((0.0, 0.005, -0.005), ""),
+        ((np.pi, -np.pi + 0.005, np.pi), "joint 'lid' is locked at zero, but stands at 3.14"),
+        ((NAN, 0.0, 0.1), "joint 'lid' is locked at zero, but moves: take it out"),
+        ((2.0 * np.pi, 0.3, 0.0), "joint 'lid' is locked at zero, but moves: take it out"),
+    ],
+)
+@pytest.mark.parametrize("together", [True, False])
+def test_a_locked_joint_that_does_not_stand_at_zero_is_named(
+    positions: tuple[float, ...], said: str, together: bool
+) -> None:
+    notes: list[str] = []
+    locked = LockedJoints(["lid", "in no message"], 0.01, notes.append)
+    places = [range(len(positions))] if together else [[place] for place in range(len(positions))]
+    for part in places:
+        values = np.array([[0.5 * place, positions[place]] for place in part])
+        locked.watch(Block("joint_states", np.array(part), np.array(part), ("a", "lid"), (values, values, values)))
+    assert [note.startswith(said) for note in notes] == [True] * bool(said)
 
 
 def test_numbers_below_a_thousand_million_are_plausible() -> None:

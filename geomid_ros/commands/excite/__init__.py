@@ -100,6 +100,7 @@ def _links(design: Excitation) -> Table:
 
 
 def _effects(design: Excitation) -> Table:
+    from geomid_ros.model.effects import EFFECTS
     from geomid_ros.report.gap_words import headline
 
     learning = design.learning
@@ -108,5 +109,8 @@ def _effects(design: Excitation) -> Table:
     for index, effect in enumerate(design.task.belief.posterior.effects):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)
         stds = (f"{kind.effects[index]:.2g}" for kind in kinds)
-        table.add_row(headline(effect.name), effect.place, *stds, effect.unit)
+        name = headline(effect.name)
+        if not EFFECTS[effect.name].is_one_number():
+            name += f" {effect.parameter}"
+        table.add_row(name, effect.place, *stds, effect.unit)
     return table
