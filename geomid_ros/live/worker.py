@@ -84,14 +84,21 @@ class Worker:
         """Solve from scratch for all messages so far. ``done(result)`` is called in the solver's thread."""
         self._inbox.request(lambda: self.solver.request(done))
 
-    def recent_messages(self) -> list[AcceptedMessages]:
-        """Return the remembered messages; while a gap is open or a payload is carried, only those since
-        all rows have shown the last such change.
+    def recent_messages(self, after: int = 0) -> list[AcceptedMessages]:
+        """Return the remembered messages after the first ``after`` entries (:attr:`Recent.count`); while a gap is open
+        or a payload is carried, only those since all rows have shown the last such change.
 
         Before and after a change the robot differs, and no single effect explains both.
         """
-        begin = max((opened + _TRANSITION for opened, _ in self.solver.detector.changes), default=0)
-        return [later for block in self.session.recent.entries() if len(later := block.since(begin))]
+        begin = max((opened + _TRANSITION for opened in self._changes), default=0)
+        return [later for block in self.session.recent.entries(after) if len(later := block.since(begin))]
+
+    @property
+    def _changes(self) -> list[int]:
+        """Stamps [ns], on the clock of the remembered messages, since which gaps are open or a payload is carried. A
+        change on an earlier clock is older than all of them."""
+        first = self.session.recent.first_sample
+        return [opened if sample >= first else -_TRANSITION for opened, sample in self.solver.detector.changes]
 
     def messages(self) -> list[AcceptedMessages]:
         """Return all remembered messages."""
@@ -99,8 +106,7 @@ class Worker:
 
     def messages_before_gap(self) -> list[AcceptedMessages]:
         """Return the remembered messages from before the first open gap (or payload); all of them if there is none."""
-        opened = [since for since, _ in self.solver.detector.changes]
-        entries = self.session.recent.entries()
+        opened, entries = self._changes, self.session.recent.entries()
         return [earlier for block in entries if len(earlier := block.before(min(opened)))] if opened else entries
 
     @property
