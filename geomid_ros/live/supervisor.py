@@ -198,5 +198,9 @@ class Supervisor:
         """Save the last estimate, unless it is ``saved`` already, until ``end`` [s]. Return the last estimate."""
         estimate = worker.estimate
         if self._configuration["output_folder"] and estimate is not None and estimate is not saved:
-            self._log.info(self.saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic())))
+            saved_now, sentence = self.saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic()))
+            if saved_now:
+                self._log.info(sentence)
+            else:
+                self._log.error(f"the last estimate is not saved: {sentence}")
         return estimate

@@ -10,6 +10,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from geomid_ros.checks.verdict import implausible_mass
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Inbox, Received, Request
@@ -157,8 +158,10 @@ class Worker:
             yield f"a message on {task} has been processed for {seconds:.0f} s"
 
     def _warnings(self) -> Iterator[str]:
-        yield from self.session.review.warnings(self.solver.estimate)
+        estimate = self.solver.estimate
+        yield from self.session.review.warnings(estimate)
         yield from self._causes(sure=False)
+        yield from () if estimate is None else implausible_mass(estimate, self.session.model)
         yield from self.session.review.remarks
         if problem := self.solver.problem:
             yield problem

@@ -14,7 +14,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from files.recordings import TYPES, Recorded
 
+from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import InputError
+from geomid_ros.files.disk import write_text
 from geomid_ros.live import saving, supervisor, threads
 from geomid_ros.live.status import Listener, Status
 from geomid_ros.live.supervisor import Supervisor
@@ -329,18 +331,25 @@ def test_92_what_goes_on_after_a_hang_has_its_own_time(monkeypatch: pytest.Monke
         assert solving.restarts == 2
 
 
+VERDICT = Verdict(word=DOUBTFUL, reasons=("it weighs 2464 kg", "it is of another robot"))
+
+
 class Slow:
     """As much of a worker as saving asks: it has an estimate, or none, and never another one."""
 
     def __init__(self, estimate: Any) -> None:
-        self.session: Any = self
+        self.session: Any = SimpleNamespace(review=SimpleNamespace(verdict=lambda _: VERDICT))
         self.estimate = estimate
         self.saved: list[Any] = []
+
+    def close(self, _: float) -> None:
+        """At once."""
 
     def request_estimate(self, done: Any) -> None:
         """Takes for ever."""
 
-    def save(self, _: Any, folder: Path, estimate: Any) -> list[Path]:
+    def save(self, _: Any, folder: Path, estimate: Any, verdict: Any) -> list[Path]:
+        assert verdict is VERDICT
         self.saved.append(estimate)
         return [folder / "estimate.json"]
 
@@ -349,11 +358,25 @@ class Estimated:
     rows_accepted = 7
 
 
+def test_66_a_folder_that_cannot_be_written_is_told_at_the_start_and_at_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    log, worker = Lines(), Slow(Estimated())
+    watched = Supervisor(Configuration({"output_folder": "/proc/nope"}), Ledger(), log, Listener(), None)
+    assert any(problem.startswith("output_folder /proc/nope: cannot be written") for problem in watched.problems)
+    monkeypatch.setattr(saving, "save", lambda *_, **__: write_text(Path("/proc/nope/estimate.json"), ""))
+    watched.worker = worker  # type: ignore[assignment]
+    watched.close()
+    ((level, line),) = log.lines
+    assert level == "error"
+    assert line.startswith("the last estimate is not saved: /proc/nope/estimate.json: cannot be written")
+
+
 @pytest.mark.parametrize("estimate", [None, Estimated()], ids=["none", "an old one"])
 def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert saving._LATE < saving._LATEST < 5.0
     monkeypatch.setattr(saving, "_LATE", 0.2)
-    monkeypatch.setattr(saving, "_LATEST", 5.0)
+    monkeypatch.setattr(saving, "_LATEST", 1.0 if estimate is None else 20.0)
     answers: queue.SimpleQueue[tuple[bool, str]] = queue.SimpleQueue()
     worker: Any = Slow(estimate)
     monkeypatch.setattr(saving, "save", worker.save)
@@ -361,9 +384,11 @@ def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.Monk
     success, message = answers.get(timeout=30.0)
     assert success == (estimate is not None)
     expected = (
-        "no estimate yet: the first one takes more than" if estimate is None else "it uses 7 rows; an estimate from all"
+        "no estimate yet: the first one takes more than 1 s; ask"
+        if estimate is None
+        else f"DOUBTFUL: it weighs 2464 kg; DOUBTFUL: it is of another robot; written: {tmp_path}/estimate.json; it uses 7 "
     )
-    assert expected in message
+    assert message.startswith(expected)
     assert worker.saved == ([] if estimate is None else [estimate])
     with pytest.raises(queue.Empty):
         answers.get(timeout=0.5)
