@@ -91,7 +91,7 @@ class Supervisor:
         Raises:
             InputError: the description does not fit the parameters.
         """
-        session = Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
+        session = self.new_session(urdf, source, absent)
         if self._solving:
             session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
             session.review.judge_with(self._solving.remote(CheckTask.judge))
@@ -106,6 +106,10 @@ class Supervisor:
         for warning in (*session.review.warnings(), *session.review.settled):
             self._log.warning(warning)
         self._absent, self._agreed = absent, time.monotonic()
+
+    def new_session(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> Session:
+        """Return a session without rows. Arguments and errors as of :meth:`build`."""
+        return Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
 
     def _with_locked(self, absent: tuple[str, ...]) -> Configuration:
         return with_locked(self._configuration, absent) if absent else self._configuration

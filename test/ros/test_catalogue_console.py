@@ -78,6 +78,24 @@ class TestConsole:
             clock[0] += 1.0
         assert log.lines == []
 
+    def test_the_end_is_said_once_and_only_of_what_was_said(self, clock: list[float]) -> None:
+        log = Lines()
+        console = Console(log)
+        for complaints in (["a"], ["a", "b"], ["1 c"], ["2 c", "a"], [], ["d"], [], []):
+            console.log_complaints([], complaints)
+            clock[0] += 1.0
+        assert log.lines == [("warning", "a"), ("warning", "2 c"), ("info", "no longer: a; 2 c")]
+
+    def test_what_is_said_at_once_is_said_once(self, clock: list[float]) -> None:
+        """A remark on one message; what is a complaint, too."""
+        log = Lines()
+        console = Console(log)
+        console.error("b")
+        for complaints in (["a", "b"], ["b"], ["b"], ["b"]):
+            console.log_complaints([], complaints, {"a"} & {*complaints})
+            clock[0] += 1.0
+        assert log.lines == [("error", "b"), ("warning", "a")]
+
     def test_errors_and_warnings_are_lines_of_their_own(self, clock: list[float]) -> None:
         log = Lines()
         console = Console(log)
@@ -109,11 +127,14 @@ def test_108_the_console_says_what_is_waited_for(stage: Stage) -> None:
     """A description; data."""
     node = stage.node(WRIST)
     stage.observer.wait_for(
-        lambda: said(node, "WARN", r"no robot description yet \(start robot_state_publisher, or set"), "a description"
+        lambda: said(
+            node, "WARN", r"no robot description yet on /robot_description \(start robot_state_publisher, or set"
+        ),
+        "a description",
     )
     other = stage.node({**WRIST, "robot_description": description("arm3")}, "-r", "__ns:=/other", name="other/geomid")
     stage.observer.wait_for(
-        lambda: said(other, "WARN", r"no messages on joint_states, /wrench \(does the driver run\?"), "messages"
+        lambda: said(other, "WARN", r"no messages on /other/joint_states, /wrench \(does the driver run\?"), "messages"
     )
 
 
@@ -219,21 +240,27 @@ def test_93_a_mimic_joint_is_not_waited_for(stage: Stage) -> None:
     assert "geomid: finger" in names
 
 
-def status(accepted: int, rows: int, **fields: Any) -> Status:
-    accounts = {topic: Account(accepted=accepted) for topic in ("joint_states", "/wrench")}
-    return Status(active=True, topics=tuple(accounts), accounts=accounts, rows_made=rows, lag=0.5, **fields)
+def status(accepted: int, rows: int, silent: str = "") -> Status:
+    accounts = {topic: Account(accepted=0 if topic == silent else accepted) for topic in ("joint_states", "/wrench")}
+    return Status(active=True, topics=tuple(accounts), accounts=accounts, rows_made=rows, lag=0.5)
 
 
-def test_90_messages_of_which_nothing_comes_are_a_warning() -> None:
+@pytest.mark.parametrize("silent", ["", "/wrench"])
+def test_90_messages_of_which_nothing_comes_are_a_warning(silent: str) -> None:
     """Once that lasts longer than the filter needs, and until rows come."""
     diagnostics = Diagnostics("node")
     said = []
     for second in range(12):
-        diagnostics.array(status(100 * second, 5))
+        diagnostics.array(status(100 * second, 5, silent))
         said.append([warning for warning in diagnostics.warnings if "have yielded no rows" in warning])
     assert not any(said[:5])
     assert all(said[6:])
-    assert "check that joint_states and /wrench are stamped by the same clock" in said[-1][0]
+    advice = (
+        f"none is accepted on {silent}"
+        if silent
+        else "check that joint_states and /wrench are stamped by the same clock"
+    )
+    assert said[-1][0].endswith(f": {advice}")
     diagnostics.array(status(1200, 6))
     assert not any("yielded no rows" in warning for warning in diagnostics.warnings)
     for _ in range(9):  # nothing is accepted: something else is wrong, and said
@@ -386,7 +413,7 @@ def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.Monk
     expected = (
         "no estimate yet: the first one takes more than 1 s; ask"
         if estimate is None
-        else f"DOUBTFUL: it weighs 2464 kg; DOUBTFUL: it is of another robot; written: {tmp_path}/estimate.json; it uses 7 "
+        else f"DOUBTFUL: it weighs 2464 kg; DOUBTFUL: it is of another robot; written: {tmp_path}/estimate.json; it "
     )
     assert message.startswith(expected)
     assert worker.saved == ([] if estimate is None else [estimate])

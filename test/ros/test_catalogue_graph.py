@@ -73,7 +73,7 @@ def test_34_joint_states_less_reliable_than_is_asked_for(strict: Stage) -> None:
     sloppy = node.create_publisher(
         JointState, "/joint_states", QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
     )
-    values = told(strict, ERROR, "joint_states: no messages from /observer", "QoS: reliability")
+    values = told(strict, ERROR, "/joint_states: no messages from /observer", "QoS: reliability")
     assert "joint_states received" not in values, "nothing came, and nothing is counted"
     node.destroy_publisher(sloppy)
     inertias = strict.observer.collect(InertiaStamped, "/geomid/inertias", latched())
