@@ -64,7 +64,7 @@ def test_a_changed_description_waits_for_a_reset(stage: Stage) -> None:
     changed = ARM3.replace('link="link1"', 'link="trunk"').replace('name="link1"', 'name="trunk"')
 
     def links() -> set[str]:
-        return {message.header.frame_id for message in inertias}
+        return {message.header.frame_id for message in inertias if message.inertia.m}
 
     talker.publish(String(data=changed))
     array = observer.diagnostics(error, "an error")
@@ -86,6 +86,9 @@ def test_a_changed_description_waits_for_a_reset(stage: Stage) -> None:
     assert observer.trigger("/geomid/reset")[0]
     inertias.clear()
     observer.publish(MESSAGES[800:], joints)
+    late = observer.collect(InertiaStamped, "/geomid/inertias", latched())
     observer.wait_for(lambda: links() == {"trunk", "link2", "link3"}, "the new robot's links")
+    observer.wait_for(lambda: "trunk" in {message.header.frame_id for message in late}, "links for who comes late")
+    assert {message.header.frame_id: message.inertia.m for message in late}["link1"] == 0.0, "it is gone"
     assert node.end() == 0
     assert list(stage.folder.glob("process0/*")) == [], "without a folder nothing is written unasked"
