@@ -65,7 +65,7 @@ def test_33_a_description_that_is_not_kept_for_those_who_come_late(strict: Stage
     told(strict, WARN, "no robot description yet")
     talker = strict.observer.node.create_publisher(String, "/robot_description", latched(1))
     talker.publish(String(data=description("arm3")))
-    told(strict, WARN, "no messages on joint_states")
+    told(strict, WARN, "no messages on /joint_states")
 
 
 def test_34_joint_states_less_reliable_than_is_asked_for(strict: Stage) -> None:
