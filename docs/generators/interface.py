@@ -29,7 +29,7 @@ _MEANINGS = {
     "imu": "angular velocity and acceleration of a floating base, with `imu.frame`",
     "NAME": "one for every sensor in `wrenches`, here `NAME`; `wrench.NAME.topic` sets another topic",
     "~/inertias": "one message per link; `frame_id` is the link, `com` in its frame, "
-    "the inertia about the centre of mass in the link's axes",
+    "the inertia about the centre of mass in the link's axes; all zeros for a link that is no longer identified",
     "~/robot_description": "the identified URDF",
     "~/predicted_joint_states": "predicted efforts, filtered motion, stamped as the data; only with a subscriber",
     "~/streamed_joint_states": "predicted efforts of every message, milliseconds after it, and its motion; only with a "

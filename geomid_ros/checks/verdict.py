@@ -80,7 +80,7 @@ def verdict(
         warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
     stopped = "" if estimate.converged else estimate.reason
     judged = recording_verdict(findings, stopped, warnings)
-    beyond = (*_implausible_mass(estimate, model), *implausible_links)
+    beyond = (*implausible_mass(estimate, model), *implausible_links)
     return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *beyond)) if beyond else judged
 
 
@@ -101,7 +101,7 @@ def recording_verdict(
     return Verdict(word=word, reasons=tuple(reasons), warnings=tuple(warnings))
 
 
-def _implausible_mass(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
+def implausible_mass(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
     """Yield a sentence if the links' total mass is implausible; not if something was weighed, or a sensor supports
     them."""
     mass, nominal = sum(link.mass for link in estimate.links), float(np.sum(model.nominal_inertias[::10]))

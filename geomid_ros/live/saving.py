@@ -16,6 +16,7 @@ from typing import TypeAlias
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
+from geomid_ros.files.disk import check_writable
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
@@ -24,14 +25,14 @@ from geomid_ros.session.session import Session, save
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
 HANDOVER = 5.0  # [s] for the last checkpoint of a session if another one is to use its folder
-_LATE = 4.0  # [s] to wait for an estimate from all data; then the last one is saved
 _LATEST = 4.8  # [s] latest time of an answer
+_LATE = _LATEST / 2.0  # [s] to wait for an estimate from all data; then the last one is saved
 _SHORTEST_PAUSE = 0.1  # fraction of the period, between slow checkpoints
 
 FOLLOWS = "and follows"
 """Part of an answer: the saved estimate is not of all data yet."""
 NOT_YET = "no estimate yet"
-SLOW = "still saving"
+SLOW = "saving has not ended"
 """Parts of answers: nothing is saved so far."""
 
 SaveOutcome: TypeAlias = tuple[bool, str]
@@ -153,6 +154,11 @@ class Saving:
         self._folder = Path(folder or ".").resolve()
         self._activity = Activity()
         self._problem = ""
+        if folder:
+            try:
+                check_writable(self._folder)
+            except GeomidError as error:
+                self._problem = f"output_folder {error}"
         self._saved: Estimate | None = None
         self._remainder: KnownRemainder | None = None  # of the saved estimate, once it is computed
         self._one_at_a_time = threading.Lock()
@@ -161,7 +167,7 @@ class Saving:
     def problems(self) -> tuple[str, ...]:
         """Sentences on why the last attempt failed, and on a slow one."""
         _, seconds = self._activity.current
-        slow = f"saving takes {seconds:.0f} s so far: {self._folder} is slow" if seconds > LONG else ""
+        slow = f"saving into {self._folder} takes {seconds:.0f} s so far" if seconds > LONG else ""
         return tuple(filter(None, (self._problem, slow)))
 
     def begin(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[SaveOutcome], None]) -> None:
@@ -211,31 +217,33 @@ class Saving:
 
         def save_last() -> None:
             last = worker.estimate
-            if answered.locked():
-                return
-            if last is None:
-                answer((False, f"{NOT_YET}: the first one takes more than {_LATE:g} s; ask again later"))
+            if answered.locked() or last is None:
                 return
             late = (
                 f"; it uses {last.rows_accepted} rows; an estimate from all rows takes more than {_LATE:g} s, {FOLLOWS}"
             )
             self.begin(worker, last, lambda saved: answer((saved[0], saved[1] + late)))
 
-        start_later(_LATE, save_last)
-        start_later(_LATEST, lambda: answer((False, f"{SLOW}: {self._folder} is slow")))
+        def give_up() -> None:
+            first = f"{NOT_YET}: the first one takes more than {_LATEST:g} s; ask again later"
+            answer((False, first if worker.estimate is None else f"{SLOW} after {_LATEST:g} s"))
 
-    def save_last(self, session: Session, estimate: Estimate, patience: float) -> str:
-        """Save, unless that takes longer than ``patience`` [s]. Return a sentence on the outcome."""
+        start_later(_LATE, save_last)
+        start_later(_LATEST, give_up)
+
+    def save_last(self, session: Session, estimate: Estimate, patience: float) -> SaveOutcome:
+        """Save, unless that takes longer than ``patience`` [s]."""
         answers: list[SaveOutcome] = []
         start_daemon("saving", lambda: answers.append(self._save(session, estimate))).join(patience)
-        return answers[0][1] if answers else f"{self._folder} is too slow to save the last estimate"
+        return answers[0] if answers else (False, f"{SLOW} after {patience:.1f} s")
 
     def _save(self, session: Session, result: Estimate | GeomidError) -> SaveOutcome:
         if isinstance(result, GeomidError):
             return False, str(result)
         with self._one_at_a_time, self._activity.doing("saving"):
             try:
-                files = save(session, self._folder, result)
+                verdict = session.review.verdict(result)
+                files = save(session, self._folder, result, verdict=verdict)
                 if self._saved is not result:
                     self._saved, self._remainder = result, None
                 if self._remainder is not None:
@@ -244,4 +252,4 @@ class Saving:
                 self._problem = f"the estimate could not be saved: {error}"
                 return False, str(error)
         self._problem = ""
-        return True, f"written: {', '.join(map(str, files))}"
+        return True, "; ".join([*verdict.remarks, f"written: {', '.join(map(str, files))}"])

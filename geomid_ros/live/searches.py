@@ -186,6 +186,7 @@ class PayloadSearch:
         """``on_end``: see :class:`BackgroundSearch`."""
         self._search = BackgroundSearch("not weighed", on_end)
         self._empty: Sequence[AcceptedMessages] = ()
+        self._count = 0  # entries that the worker had accepted by then
 
     def forget(self) -> None:
         """Forget the motion without the payload."""
@@ -201,7 +202,7 @@ class PayloadSearch:
         messages = worker.recent_messages()
         if not messages:
             return False, NO_DATA
-        self._empty = messages
+        self._empty, self._count = messages, worker.session.recent.count
         return (
             True,
             f"{_seconds(messages):.0f} s without the payload are stored; mount it, move, and call ~/payload/loaded",
@@ -214,8 +215,7 @@ class PayloadSearch:
             return False, "no motion without the payload yet: move the robot without it, and call ~/payload/empty"
         if self._search.running:
             return False, "already running; the result is published on ~/payload"
-        begin = _last_stamp(self._empty) + 1
-        loaded = [later for block in worker.recent_messages() if len(later := block.since(begin))]
+        loaded = worker.recent_messages(self._count)
         if not loaded:
             return False, "no data since the motion without the payload"
         self._search.start(partial(_weigh, worker.session, self._empty, loaded))
@@ -241,11 +241,7 @@ def _weigh(
     return identify_payload_at(session, recordings[:1], recordings[1:], frame, gain)
 
 
-def _last_stamp(messages: Sequence[AcceptedMessages]) -> int:
-    return max(int(block.stamps[-1]) for block in messages)
-
-
 def _seconds(messages: Sequence[AcceptedMessages]) -> float:
     """Time span of joint messages [s]."""
     joints = [block for block in messages if block.topic == JOINT_STATES] or messages
-    return 1e-9 * float(_last_stamp(joints) - min(int(block.stamps[0]) for block in joints))
+    return 1e-9 * float(max(block.stamps[-1] for block in joints) - min(block.stamps[0] for block in joints))

@@ -62,7 +62,8 @@ class Listener:
 class Status:
     """Snapshot for diagnostics.
 
-    - ``topics``: where data are expected, empty without a robot description; ``accounts``: of their messages.
+    - ``topics``: where data are expected, empty without a robot description; ``accounts``: of their messages;
+      ``names``: the resolved names of topics.
     - ``problems``: lasting errors; ``warnings``: less than errors; ``failures``: exceptions, counted by text.
     - ``rows``: taken; ``rows_rejected``: by reason; ``rows_made``: the sum of both.
     - ``queue``: messages that wait to be decided on or used; ``lag`` [s]: of the filter.
@@ -80,6 +81,7 @@ class Status:
     warnings: tuple[str, ...] = ()
     failures: Counter[str] = field(default_factory=Counter)
     topics: tuple[str, ...] = ()
+    names: dict[str, str] = field(default_factory=dict)
     rows: int = 0
     rows_made: int = 0
     rows_rejected: Counter[str] = field(default_factory=Counter)
@@ -99,6 +101,10 @@ class Status:
     def account(self, topic: str) -> Account:
         """Return the account of a topic's messages."""
         return self.accounts.get(topic, Account())
+
+    def name(self, topic: str) -> str:
+        """Return the resolved name of a topic, as ROS shows it."""
+        return self.names.get(topic, topic)
 
     def since(self, before: Status) -> Status:
         """Return this status with the counts since ``before``: messages, rows and failures."""

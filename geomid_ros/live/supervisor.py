@@ -91,7 +91,7 @@ class Supervisor:
         Raises:
             InputError: the description does not fit the parameters.
         """
-        session = Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
+        session = self.new_session(urdf, source, absent)
         if self._solving:
             session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
             session.review.judge_with(self._solving.remote(CheckTask.judge))
@@ -106,6 +106,10 @@ class Supervisor:
         for warning in (*session.review.warnings(), *session.review.settled):
             self._log.warning(warning)
         self._absent, self._agreed = absent, time.monotonic()
+
+    def new_session(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> Session:
+        """Return a session without rows. Arguments and errors as of :meth:`build`."""
+        return Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
 
     def _with_locked(self, absent: tuple[str, ...]) -> Configuration:
         return with_locked(self._configuration, absent) if absent else self._configuration
@@ -198,5 +202,9 @@ class Supervisor:
         """Save the last estimate, unless it is ``saved`` already, until ``end`` [s]. Return the last estimate."""
         estimate = worker.estimate
         if self._configuration["output_folder"] and estimate is not None and estimate is not saved:
-            self._log.info(self.saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic())))
+            saved_now, sentence = self.saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic()))
+            if saved_now:
+                self._log.info(sentence)
+            else:
+                self._log.error(f"the last estimate is not saved: {sentence}")
         return estimate

@@ -10,6 +10,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from geomid_ros.checks.verdict import implausible_mass
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Inbox, Received, Request
@@ -84,14 +85,21 @@ class Worker:
         """Solve from scratch for all messages so far. ``done(result)`` is called in the solver's thread."""
         self._inbox.request(lambda: self.solver.request(done))
 
-    def recent_messages(self) -> list[AcceptedMessages]:
-        """Return the remembered messages; while a gap is open or a payload is carried, only those since
-        all rows have shown the last such change.
+    def recent_messages(self, after: int = 0) -> list[AcceptedMessages]:
+        """Return the remembered messages after the first ``after`` entries (:attr:`Recent.count`); while a gap is open
+        or a payload is carried, only those since all rows have shown the last such change.
 
         Before and after a change the robot differs, and no single effect explains both.
         """
-        begin = max((opened + _TRANSITION for opened, _ in self.solver.detector.changes), default=0)
-        return [later for block in self.session.recent.entries() if len(later := block.since(begin))]
+        begin = max((opened + _TRANSITION for opened in self._changes), default=0)
+        return [later for block in self.session.recent.entries(after) if len(later := block.since(begin))]
+
+    @property
+    def _changes(self) -> list[int]:
+        """Stamps [ns], on the clock of the remembered messages, since which gaps are open or a payload is carried. A
+        change on an earlier clock is older than all of them."""
+        first = self.session.recent.first_sample
+        return [opened if sample >= first else -_TRANSITION for opened, sample in self.solver.detector.changes]
 
     def messages(self) -> list[AcceptedMessages]:
         """Return all remembered messages."""
@@ -99,8 +107,7 @@ class Worker:
 
     def messages_before_gap(self) -> list[AcceptedMessages]:
         """Return the remembered messages from before the first open gap (or payload); all of them if there is none."""
-        opened = [since for since, _ in self.solver.detector.changes]
-        entries = self.session.recent.entries()
+        opened, entries = self._changes, self.session.recent.entries()
         return [earlier for block in entries if len(earlier := block.before(min(opened)))] if opened else entries
 
     @property
@@ -151,8 +158,10 @@ class Worker:
             yield f"a message on {task} has been processed for {seconds:.0f} s"
 
     def _warnings(self) -> Iterator[str]:
-        yield from self.session.review.warnings(self.solver.estimate)
+        estimate = self.solver.estimate
+        yield from self.session.review.warnings(estimate)
         yield from self._causes(sure=False)
+        yield from () if estimate is None else implausible_mass(estimate, self.session.model)
         yield from self.session.review.remarks
         if problem := self.solver.problem:
             yield problem

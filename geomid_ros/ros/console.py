@@ -19,51 +19,60 @@ _MOST_KINDS = 200  # bound on remembered sentences, as names in them are from ou
 class Console:
     """Log in which every entry is one printable line, whatever names it contains.
 
-    A complaint is logged if two diagnostics in a row have it, and then once a minute. One-off events are logged at
-    once, and the same ones at most once a minute. Sentences that differ only in numbers are the same.
+    A complaint is logged if two diagnostics in a row have it, and then once a minute; its end, if two in a row no
+    longer have it. One-off events are logged at once, and the same ones at most once a minute. Sentences that differ
+    only in numbers are the same.
     """
 
     def __init__(self, log: Log) -> None:
         self._log = log
-        self._before: set[str] = set()
+        self._before: set[str] = set()  # kinds of complaints of the last diagnostics
+        self._lasting: dict[str, str] = {}  # complaints that were logged, by kind, until they end
         self._logged: dict[str, float] = {}
 
-    def info(self, message: str, /) -> None:
+    def info(self, *messages: str) -> None:
         """Log normal progress."""
-        self._log.info(one_line(message))
+        self._log.info(self._entry(messages))  # rclpy allows one severity per line of code
 
-    def warning(self, message: str, /) -> None:
+    def warning(self, *messages: str) -> None:
         """Log a problem that allows operation to continue."""
-        self._log.warning(one_line(message))
+        self._log.warning(self._entry(messages))
 
-    def error(self, message: str, /) -> None:
+    def error(self, *messages: str) -> None:
         """Log an error."""
-        self._log.error(one_line(message))
+        self._log.error(self._entry(messages))
 
-    def log_complaints(self, errors: Sequence[str], warnings: Sequence[str]) -> None:
-        """Take the complaints of the present diagnostics, and log those that last."""
-        before, self._before = self._before, {*map(_kind, (*errors, *warnings))}
+    def log_complaints(self, errors: Sequence[str], warnings: Sequence[str], events: Iterable[str] = ()) -> None:
+        """Take the complaints of the present diagnostics; log those that last, those that are one-off ``events``, and
+        the end of those that were logged as they lasted."""
+        before, present, at_once = self._before, set[str](), {*map(_kind, events)}
         for log, sentences in ((self.error, errors), (self.warning, warnings)):
             kinds = {_kind(sentence): sentence for sentence in sentences}
-            due = [kind for kind in kinds if kind in before and self._was_long_ago(kind)]
+            due = [kind for kind in kinds if kind in before | at_once and self._was_long_ago(kind)]
             if due:
-                log("; ".join(_with_hint(kinds[kind]) for kind in due))
-                self._remember(due)
+                log(*(kinds[kind] for kind in due))
+            self._lasting |= {kind: kinds[kind] for kind in due if kind in before}
+            present |= kinds.keys()
+        ended = [kind for kind in self._lasting if kind not in before | present]
+        if ended:
+            self.info(f"no longer: {'; '.join(self._lasting.pop(kind) for kind in ended)}")
+        self._before = present
 
     def log_events(self, sentences: Iterable[str]) -> None:
         """Log one-off events."""
         for sentence in sentences:
             if self._was_long_ago(_kind(sentence)):
                 self.info(sentence)
-                self._remember([_kind(sentence)])
 
     def _was_long_ago(self, kind: str) -> bool:
         return time.monotonic() - self._logged.get(kind, -AGAIN) >= AGAIN
 
-    def _remember(self, kinds: Iterable[str]) -> None:
-        self._logged |= dict.fromkeys(kinds, time.monotonic())
+    def _entry(self, sentences: Sequence[str]) -> str:
+        """Return the entry of sentences that are logged now, and remember when."""
+        self._logged |= dict.fromkeys(map(_kind, sentences), time.monotonic())
         while len(self._logged) > _MOST_KINDS:
             self._logged.pop(min(self._logged, key=self._logged.__getitem__))
+        return one_line("; ".join(map(_with_hint, sentences)))
 
 
 def _kind(sentence: str) -> str:
@@ -92,7 +101,9 @@ class StatusEvents:
         self._before = status
         self._coming = {topic: self._coming.get(topic, 0) + 1 for topic, count in accepted.items() if count > 0}
         yield from (
-            f"{topic}: receiving {accepted[topic]} messages/s" for topic in self._coming if self._coming[topic] == 2
+            f"{status.name(topic)}: receiving {accepted[topic]} messages/s"
+            for topic in self._coming
+            if self._coming[topic] == 2
         )
         yield from self._estimated(status.estimate)
 

@@ -43,6 +43,8 @@ class Advised(str):
         return type(self), (str(self), self.advice)
 
 
+DESCRIPTION = "robot_description"
+"""Topic of the robot description."""
 NO_DESCRIPTION = Advised(
     "no robot description yet", "start robot_state_publisher, or set the parameter robot_description"
 )
@@ -56,10 +58,13 @@ class Diagnostics:
         self._node = node
         self._before = Status(active=False)
         self._barren = 0  # consecutive diagnostics with accepted messages but no rows
+        self._fruitful = self._before  # the status before these
         self.errors: list[str] = []
         """Sentences on problems with the stream in the last diagnostics."""
         self.warnings: list[str] = []
         """Sentences on lesser problems in the last diagnostics."""
+        self.remarks: list[str] = []
+        """Those of the sentences that are one-off remarks on messages."""
 
     def array(
         self, status: Status, search: SearchStatus[FoundGap] | None = None, checkpoints: CheckpointStatus | None = None
@@ -73,6 +78,7 @@ class Diagnostics:
         """
         new = status.since(self._before)
         self.errors = [*dict.fromkeys(_errors(status, new))]
+        self.remarks = _remarks(new)
         sentences = dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])
         self.warnings = [text for text in sentences if text not in self.errors]
         self._before = status
@@ -90,14 +96,19 @@ class Diagnostics:
 
     def _without_rows(self, status: Status, new: Status) -> list[str]:
         """Complain if accepted messages have yielded no rows for longer than the filter needs."""
-        accepted = [topic for topic, account in new.accounts.items() if account.accepted > 0]
-        barren = status.active and bool(accepted) and new.rows_made == 0
-        self._barren = self._barren + 1 if barren else 0
+        accepted = any(account.accepted > 0 for account in new.accounts.values())
+        if not (status.active and accepted and new.rows_made == 0):
+            self._barren, self._fruitful = 0, status
+            return []
+        self._barren += 1
         if self._barren <= _LONGEST_BARREN + 2.0 * status.lag:
             return []
         advice = "check for pauses in every filter window, or a rate too low for it"
-        if len(status.topics) > 1:
-            advice = f"check that {' and '.join(status.topics)} are stamped by the same clock"
+        since = status.since(self._fruitful)
+        if missing := [status.name(topic) for topic in status.topics if since.account(topic).accepted <= 0]:
+            advice = f"none is accepted on {', '.join(missing)}"
+        elif len(status.topics) > 1:
+            advice = f"check that {' and '.join(map(status.name, status.topics))} are stamped by the same clock"
         return [f"messages are accepted, but have yielded no rows for {self._barren} s: {advice}"]
 
 
@@ -254,37 +265,43 @@ def _errors(status: Status, new: Status) -> list[str]:
     sentences = [*status.problems, *new.failures]
     if status.joints and len(status.unmeasured) == status.joints:
         sentences.append(
-            f"{JOINT_STATES}: no effort is measured at any joint, no joint equation is used: {_list(status.unmeasured)}"
+            f"{status.name(JOINT_STATES)}: no effort is measured at any joint, no joint equation is used: "
+            f"{_list(status.unmeasured)}"
         )
     gaps = [gap for gap in _open(status) if _is_wrench(gap, status)]
     if gaps:
-        sentences.append(f"{_gap_sentence(gaps)}: {_wrench_question(status.changed_sensors)}")
+        sentences.append(f"{_gap_sentence(gaps)}: {_wrench_question([*map(status.name, status.changed_sensors)])}")
     for topic in status.topics:
-        account = new.account(topic)
+        account, name = new.account(topic), status.name(topic)
         all_bad = account.received >= _MANY and account.accepted <= 0
         bad = {why: count for why, count in account.rejected.items() if all_bad or meaning_of(why) == "driver error"}
-        sentences += _most_frequent(_refusals(topic, Account(rejected=Counter(bad))))
-        sentences += [f"{topic}: {remark}" for remark in account.noted if meaning_of(remark) == "driver error"]
+        sentences += _most_frequent(_refusals(name, Account(rejected=Counter(bad))))
+        sentences += [f"{name}: {remark}" for remark in account.noted if meaning_of(remark) == "driver error"]
     return sentences
 
 
 def _warnings(status: Status, new: Status) -> list[str]:
     sentences = list(status.warnings)
     if not status.topics:
-        return sentences if status.unconfigured else [*sentences, NO_DESCRIPTION]
+        where = f" on {status.name(DESCRIPTION)}" if DESCRIPTION in status.names else ""
+        missing = Advised(NO_DESCRIPTION + where, NO_DESCRIPTION.advice)
+        return sentences if status.unconfigured else [*sentences, missing]
     if not status.active:
         return sentences
-    silent = [topic for topic in status.topics if new.account(topic).received == 0]
+    silent = [status.name(topic) for topic in status.topics if new.account(topic).received == 0]
     if silent:
         sentences.append(Advised(f"no messages on {', '.join(silent)}", _NOTHING_COMES))
+    accounts = {status.name(topic): account for topic, account in new.accounts.items()}
     refusals: dict[str, int] = {}
-    for topic, account in new.accounts.items():
-        refusals |= _refusals(topic, account)
+    for name, account in accounts.items():
+        refusals |= _refusals(name, account)
     sentences += _most_frequent(refusals)
-    sentences += [f"{topic}: {remark}" for topic, account in new.accounts.items() for remark in account.noted]
-    sentences += [f"{topic} lost ({account.lost} messages)" for topic, account in new.accounts.items() if account.lost]
+    sentences += _remarks(new)
+    sentences += [f"{name} lost ({account.lost} messages)" for name, account in accounts.items() if account.lost]
     if status.unmeasured:
-        sentences.append(f"{JOINT_STATES}: no effort of {_list(status.unmeasured)}; its equation is left out")
+        sentences.append(
+            f"{status.name(JOINT_STATES)}: no effort of {_list(status.unmeasured)}; its equation is left out"
+        )
     gaps = [gap for gap in _open(status) if not _is_wrench(gap, status)]
     if gaps:
         sentences.append(_gap_sentence(gaps))
@@ -293,6 +310,10 @@ def _warnings(status: Status, new: Status) -> list[str]:
     if new.rows_rejected[STANDING_STILL] > 0 and new.rows <= 0 and status.estimate is None:  # afterwards it may rest
         sentences.append(f"{STANDING_STILL}: no link is identifiable; move the robot")
     return sentences
+
+
+def _remarks(new: Status) -> list[str]:
+    return [f"{new.name(topic)}: {remark}" for topic, account in new.accounts.items() for remark in account.noted]
 
 
 def _open(status: Status) -> list[ChannelGap]:

@@ -144,6 +144,8 @@ class Inputs:
         self._node = node
         self._ledger = ledger
         self._inputs: list[_Input] = []
+        self.names: dict[str, str] = {}
+        """Resolved names of the topics that were subscribed to."""
 
     def subscribe_data(self, kind: type, name: str, several: bool = False) -> None:
         """Subscribe to data, which wait until :meth:`poll` polls them.
@@ -238,6 +240,7 @@ class Inputs:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"parameters: topic '{name}': its qos_overrides cannot be used ({reason})") from error
         self._inputs.append(entry)
+        self.names[name] = entry.subscription.topic_name
 
     def _count_missing(self, entry: _Input, numbers: list[int]) -> None:
         """Count as lost the messages that a publisher sent between its last one and these with sequence ``numbers``.
@@ -265,18 +268,18 @@ class Inputs:
         return tuple(problem for entry in self._inputs for problem in self._problems_of(entry))
 
     def _problems_of(self, entry: _Input) -> list[str]:
-        problems, usable = [], []
-        for publisher in self._node.get_publishers_info_by_topic(entry.subscription.topic_name):
+        problems, usable, topic = [], [], entry.subscription.topic_name
+        for publisher in self._node.get_publishers_info_by_topic(topic):
             compatibility, reason = qos_check_compatible(publisher.qos_profile, entry.subscription.qos_profile)
             if compatibility != QoSCompatibility.ERROR:
                 usable.append(publisher)
             else:
                 name, why = _full_name(publisher), f"{entry.policy} ({reason.rstrip(';')})"
-                problems.append(f"{entry.name}: no messages from {name}, incompatible QoS: {why}")
+                problems.append(f"{topic}: no messages from {name}, incompatible QoS: {why}")
         if len(usable) > 1 and not entry.several:
             named = ", ".join(sorted(map(_full_name, usable)))
             problems.append(
-                f"{entry.name} has {len(usable)} publishers; all its messages are dropped until one is left: {named}"
+                f"{topic} has {len(usable)} publishers; all its messages are dropped until one is left: {named}"
             )
         return problems
 

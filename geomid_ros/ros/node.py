@@ -29,7 +29,7 @@ from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
-from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
+from geomid_ros.ros.diagnostics import DESCRIPTION, NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.inputs import Inputs, RosTypes, describe, read_parameters
 from geomid_ros.ros.outputs import Outputs, Streaming, latched
 from geomid_ros.ros.startup import starting_ros
@@ -110,7 +110,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
         if self._configuration["dashboard"]:
             self._dashboard = DashboardProcess(self.get_fully_qualified_name())
         if not self._configuration["robot_description"]:
-            self._inputs.subscribe(String, "robot_description", self._on_description, latched())
+            self._inputs.subscribe(String, DESCRIPTION, self._on_description, latched())
         if not self._active:
             self._console.info("waiting for ~/start, as the parameter active is false")
         self.add_on_set_parameters_callback(self._on_set)
@@ -270,12 +270,15 @@ class GeomidNode(LifecycleNodeMixin, Node):
         self._urdf = message.data
         if not self._configured:
             return
-        if self._worker is not None:
-            changed = message.data != self._worker.session.urdf
-            self._report(_CHANGED if changed else "")
-            return
+        source = "topic robot_description"
         try:
-            self._build(message.data, "topic robot_description")
+            if self._worker is None:
+                self._build(message.data, source)
+            elif message.data == self._worker.session.urdf:
+                self._report("")
+            else:
+                self._supervisor.new_session(message.data, source)  # raises what ~/reset would
+                self._report(_CHANGED)
         except GeomidError as error:
             self._report(str(error))
 
@@ -300,7 +303,8 @@ class GeomidNode(LifecycleNodeMixin, Node):
         status = self._status()
         checkpoints = self._supervisor.checkpoints
         array = self._diagnostics.array(status, self._search.status, checkpoints.status if checkpoints else None)
-        self._console.log_complaints(self._diagnostics.errors, self._diagnostics.warnings)
+        said = self._diagnostics
+        self._console.log_complaints(said.errors, said.warnings, said.remarks)
         self._console.log_events(self._news.since(status))
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
@@ -314,6 +318,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
             warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
             failures=self._supervisor.failures.counts,
             accounts=self._ledger.topics,
+            names=self._inputs.names,
             unconfigured=self._unconfigured,
         )
 

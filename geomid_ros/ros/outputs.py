@@ -16,7 +16,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import ColorRGBA, String
+from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate, effort_deviations
@@ -57,6 +57,7 @@ class Outputs(Listener):
         self._node = node
         self._predictor = predictor
         self._inertias = create(InertiaStamped, "~/inertias", latched(256))
+        self._links: list[str] = []  # of the last estimate
         self._predictions = create(JointState, "~/predicted_joint_states", 1000)
         self._deviations = create(JointState, "~/predicted_efforts_std", 1000)
         self._identified = create(String, "~/robot_description", latched())
@@ -81,13 +82,17 @@ class Outputs(Listener):
         self.publish_estimate(session, estimate)
 
     def publish_estimate(self, session: Session, estimate: Estimate) -> None:
-        """Publish an estimate."""
+        """Publish an estimate; all zeros as inertias of links that only the one before had."""
         stamp = self._node.get_clock().now().nanoseconds
+        before, self._links = self._links, [link.name for link in estimate.links]
+        for name in before:
+            if name not in self._links:
+                self._inertias.publish(InertiaStamped(header=Header(frame_id=name, stamp=ros_time(stamp))))
         for link in estimate.links:
             self._inertias.publish(inertia_message(link.name, link.parameters, stamp))
         self._identified.publish(String(data=identified_urdf(session, estimate)))
         markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
-        self._ellipsoids.publish(MarkerArray(markers=markers))
+        self._ellipsoids.publish(MarkerArray(markers=[Marker(action=Marker.DELETEALL), *markers]))
 
     def publish_gap(self, status: SearchStatus[FoundGap]) -> None:
         """Publish the result of a search for a gap."""

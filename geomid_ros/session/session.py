@@ -69,7 +69,7 @@ class Session(Setup):
         self.identifier = Identifier(self.model, self._settings, configuration.buffer, self._identified_prior)
         self.warm_start: WarmStart | None = None
         """Start of the next solve: the last estimate."""
-        self.recent = Recent(configuration["gap.memory"])
+        self.recent = Recent(configuration["gap.memory"], lambda: self.identifier.sample_count)
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
         self.review = Review(self, self.pipeline.ledger)
 

@@ -10,6 +10,7 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import islice
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -109,14 +110,21 @@ class AcceptedMessages:
 class Recent:
     """Remembers what a pipeline accepted in the last ``seconds`` of its stamps, as its ``on_accepted``.
 
-    Fewer messages are kept if they take too much memory. Any thread may call any method.
+    Fewer messages are kept if they take too much memory, and none from before a clock was set back: stamps of two
+    clocks cannot be compared. Any thread may call any method.
     """
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, seconds: float, sample_count: Callable[[], int] = int) -> None:
+        """``sample_count``: number of samples that were made of what was accepted."""
         self._lock = threading.RLock()
         self._nanoseconds = round(seconds * 1e9)
+        self._sample_count = sample_count
         self._entries: deque[AcceptedMessages] = deque()
         self._bytes = 0
+        self.count = 0
+        """Number of entries so far, those that were forgotten included."""
+        self.first_sample = 0
+        """Index of the first sample on the clock of the remembered messages."""
         self._last: dict[str, int] = {}
 
     def __call__(self, accepted: AcceptedMessages) -> None:
@@ -128,6 +136,7 @@ class Recent:
                 self.clear()
             self._last[topic] = newest
             self._entries.append(accepted)
+            self.count += 1
             self._bytes += _size(accepted)
             while self._entries and (self._bytes > MOST_WAITING_BYTES or self._entries[0].stamps[-1] <= oldest):
                 self._bytes -= _size(self._entries.popleft())
@@ -138,12 +147,15 @@ class Recent:
             self._entries.clear()
             self._last.clear()
             self._bytes = 0
+            self.first_sample = self._sample_count()
 
-    def entries(self) -> list[AcceptedMessages]:
-        """Return all remembered messages, in their order of arrival."""
+    def entries(self, after: int = 0) -> list[AcceptedMessages]:
+        """Return the remembered messages, in their order of arrival; only those after the first ``after`` entries of
+        all (:attr:`count`)."""
         with self._lock:
             begin = max(self._last.values(), default=0) - self._nanoseconds + 1
-            return [recent for entry in self._entries if len(recent := entry.since(begin))]
+            known = max(0, after - self.count + len(self._entries))
+            return [recent for entry in islice(self._entries, known, None) if len(recent := entry.since(begin))]
 
 
 def _size(accepted: AcceptedMessages) -> int:

@@ -145,12 +145,26 @@ def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_
     assert read_remainder(tmp_path / POSTERIOR) is None
 
 
-@pytest.mark.parametrize(("opened", "count"), [((None, 700), 69), ((700, 400), 39), ((None, None), 100)])
-def test_messages_before_a_gap(opened: tuple[int | None, int | None], count: int) -> None:
-    """That opened first; all of them without one."""
-    recent = Recent(1.0)
-    recent(AcceptedMessages(JOINT_STATES, 10 * np.arange(1, 101), np.zeros((100, 9))))
+SECOND = 10**9  # [ns]
+
+
+@pytest.mark.parametrize("set_back", [False, True])
+@pytest.mark.parametrize(
+    ("opened", "before", "after"), [((None, 70), 69, 29), ((70, 40), 39, 29), ((None, None), 100, 100)]
+)
+def test_messages_before_and_after_a_gap(
+    opened: tuple[int | None, int | None], before: int, after: int, set_back: bool
+) -> None:
+    """That opened first, and last; all of them without one, and after it if the clock was set back since."""
+    recent = Recent(200.0, lambda: 500)
+    for begin in (SECOND // 2, 0) if set_back else (0,):
+        recent(AcceptedMessages(JOINT_STATES, begin + SECOND * np.arange(1, 101), np.zeros((100, 9))))
     detector = ChangeDetector([Channel(name="joint", unit="N m", columns=np.arange(1))])
-    detector.gaps = tuple(ChannelGap(f"joint{place}", 3.0, since) for place, since in enumerate(opened))
-    own: Any = SimpleNamespace(session=SimpleNamespace(recent=recent), solver=SimpleNamespace(detector=detector))
-    assert [len(each) for each in Worker.messages_before_gap(own)] == [count]
+    stamps = [None if since is None else since * SECOND for since in opened]
+    detector.gaps = tuple(ChannelGap(f"joint{place}", 3.0, since, 499) for place, since in enumerate(stamps))
+    own: Any = object.__new__(Worker)
+    own.session, own.solver = SimpleNamespace(recent=recent), SimpleNamespace(detector=detector)
+    if set_back and any(opened):
+        before, after = 0, 100
+    assert sum(map(len, own.messages_before_gap())) == before
+    assert sum(map(len, own.recent_messages())) == after

@@ -7,8 +7,12 @@ import threading
 from types import SimpleNamespace
 from typing import Any
 
-from geomid_ros.live.searches import BackgroundSearch
+import numpy as np
+import pytest
+
+from geomid_ros.live.searches import BackgroundSearch, PayloadSearch
 from geomid_ros.options import Progress
+from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Recent
 
 PATIENCE = 60.0  # [s]
 
@@ -38,3 +42,24 @@ def test_another_can_be_started_after_one_was_ended() -> None:
     assert search.status is not None
     assert search.status.sentence == "found"
     assert told.empty()
+
+
+@pytest.mark.parametrize("begin", [50, 0], ids=["in time", "after the clock was set back"])
+def test_the_motion_with_the_payload_is_what_came_after_the_one_without(
+    monkeypatch: pytest.MonkeyPatch, begin: int
+) -> None:
+    looked: list[Any] = []
+    monkeypatch.setattr(BackgroundSearch, "start", lambda _, look: looked.append(look.args[1:]))
+    recent, search = Recent(100.0), PayloadSearch(lambda _: None)
+    worker: Any = SimpleNamespace(session=SimpleNamespace(recent=recent), recent_messages=recent.entries)
+    without, loaded = (
+        AcceptedMessages(JOINT_STATES, 10**9 * np.arange(first, first + 20), np.zeros((20, 9))) for first in (30, begin)
+    )
+    recent(without)
+    assert search.take_empty(worker)[0]
+    assert search.take_loaded(worker) == (False, "no data since the motion without the payload")
+    recent(loaded)
+    assert search.take_loaded(worker)[0]
+    ((empty, full),) = looked
+    for messages, expected in ((empty, without), (full, loaded)):
+        assert [message.stamps.tolist() for message in messages] == [expected.stamps.tolist()]

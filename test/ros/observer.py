@@ -55,7 +55,7 @@ class Pace:
             self._before = now
 
 
-LATE = "takes more than 4 s"
+LATE = "takes more than"
 """What `~/save` says where an estimate of all rows takes so long that the last one is saved."""
 
 

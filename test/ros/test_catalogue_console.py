@@ -14,7 +14,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from files.recordings import TYPES, Recorded
 
+from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import InputError
+from geomid_ros.files.disk import write_text
 from geomid_ros.live import saving, supervisor, threads
 from geomid_ros.live.status import Listener, Status
 from geomid_ros.live.supervisor import Supervisor
@@ -76,6 +78,24 @@ class TestConsole:
             clock[0] += 1.0
         assert log.lines == []
 
+    def test_the_end_is_said_once_and_only_of_what_was_said(self, clock: list[float]) -> None:
+        log = Lines()
+        console = Console(log)
+        for complaints in (["a"], ["a", "b"], ["1 c"], ["2 c", "a"], [], ["d"], [], []):
+            console.log_complaints([], complaints)
+            clock[0] += 1.0
+        assert log.lines == [("warning", "a"), ("warning", "2 c"), ("info", "no longer: a; 2 c")]
+
+    def test_what_is_said_at_once_is_said_once(self, clock: list[float]) -> None:
+        """A remark on one message; what is a complaint, too."""
+        log = Lines()
+        console = Console(log)
+        console.error("b")
+        for complaints in (["a", "b"], ["b"], ["b"], ["b"]):
+            console.log_complaints([], complaints, {"a"} & {*complaints})
+            clock[0] += 1.0
+        assert log.lines == [("error", "b"), ("warning", "a")]
+
     def test_errors_and_warnings_are_lines_of_their_own(self, clock: list[float]) -> None:
         log = Lines()
         console = Console(log)
@@ -107,11 +127,14 @@ def test_108_the_console_says_what_is_waited_for(stage: Stage) -> None:
     """A description; data."""
     node = stage.node(WRIST)
     stage.observer.wait_for(
-        lambda: said(node, "WARN", r"no robot description yet \(start robot_state_publisher, or set"), "a description"
+        lambda: said(
+            node, "WARN", r"no robot description yet on /robot_description \(start robot_state_publisher, or set"
+        ),
+        "a description",
     )
     other = stage.node({**WRIST, "robot_description": description("arm3")}, "-r", "__ns:=/other", name="other/geomid")
     stage.observer.wait_for(
-        lambda: said(other, "WARN", r"no messages on joint_states, /wrench \(does the driver run\?"), "messages"
+        lambda: said(other, "WARN", r"no messages on /other/joint_states, /wrench \(does the driver run\?"), "messages"
     )
 
 
@@ -217,21 +240,27 @@ def test_93_a_mimic_joint_is_not_waited_for(stage: Stage) -> None:
     assert "geomid: finger" in names
 
 
-def status(accepted: int, rows: int, **fields: Any) -> Status:
-    accounts = {topic: Account(accepted=accepted) for topic in ("joint_states", "/wrench")}
-    return Status(active=True, topics=tuple(accounts), accounts=accounts, rows_made=rows, lag=0.5, **fields)
+def status(accepted: int, rows: int, silent: str = "") -> Status:
+    accounts = {topic: Account(accepted=0 if topic == silent else accepted) for topic in ("joint_states", "/wrench")}
+    return Status(active=True, topics=tuple(accounts), accounts=accounts, rows_made=rows, lag=0.5)
 
 
-def test_90_messages_of_which_nothing_comes_are_a_warning() -> None:
+@pytest.mark.parametrize("silent", ["", "/wrench"])
+def test_90_messages_of_which_nothing_comes_are_a_warning(silent: str) -> None:
     """Once that lasts longer than the filter needs, and until rows come."""
     diagnostics = Diagnostics("node")
     said = []
     for second in range(12):
-        diagnostics.array(status(100 * second, 5))
+        diagnostics.array(status(100 * second, 5, silent))
         said.append([warning for warning in diagnostics.warnings if "have yielded no rows" in warning])
     assert not any(said[:5])
     assert all(said[6:])
-    assert "check that joint_states and /wrench are stamped by the same clock" in said[-1][0]
+    advice = (
+        f"none is accepted on {silent}"
+        if silent
+        else "check that joint_states and /wrench are stamped by the same clock"
+    )
+    assert said[-1][0].endswith(f": {advice}")
     diagnostics.array(status(1200, 6))
     assert not any("yielded no rows" in warning for warning in diagnostics.warnings)
     for _ in range(9):  # nothing is accepted: something else is wrong, and said
@@ -329,18 +358,25 @@ def test_92_what_goes_on_after_a_hang_has_its_own_time(monkeypatch: pytest.Monke
         assert solving.restarts == 2
 
 
+VERDICT = Verdict(word=DOUBTFUL, reasons=("it weighs 2464 kg", "it is of another robot"))
+
+
 class Slow:
     """As much of a worker as saving asks: it has an estimate, or none, and never another one."""
 
     def __init__(self, estimate: Any) -> None:
-        self.session: Any = self
+        self.session: Any = SimpleNamespace(review=SimpleNamespace(verdict=lambda _: VERDICT))
         self.estimate = estimate
         self.saved: list[Any] = []
+
+    def close(self, _: float) -> None:
+        """At once."""
 
     def request_estimate(self, done: Any) -> None:
         """Takes for ever."""
 
-    def save(self, _: Any, folder: Path, estimate: Any) -> list[Path]:
+    def save(self, _: Any, folder: Path, estimate: Any, verdict: Any) -> list[Path]:
+        assert verdict is VERDICT
         self.saved.append(estimate)
         return [folder / "estimate.json"]
 
@@ -349,11 +385,25 @@ class Estimated:
     rows_accepted = 7
 
 
+def test_66_a_folder_that_cannot_be_written_is_told_at_the_start_and_at_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    log, worker = Lines(), Slow(Estimated())
+    watched = Supervisor(Configuration({"output_folder": "/proc/nope"}), Ledger(), log, Listener(), None)
+    assert any(problem.startswith("output_folder /proc/nope: cannot be written") for problem in watched.problems)
+    monkeypatch.setattr(saving, "save", lambda *_, **__: write_text(Path("/proc/nope/estimate.json"), ""))
+    watched.worker = worker  # type: ignore[assignment]
+    watched.close()
+    ((level, line),) = log.lines
+    assert level == "error"
+    assert line.startswith("the last estimate is not saved: /proc/nope/estimate.json: cannot be written")
+
+
 @pytest.mark.parametrize("estimate", [None, Estimated()], ids=["none", "an old one"])
 def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert saving._LATE < saving._LATEST < 5.0
     monkeypatch.setattr(saving, "_LATE", 0.2)
-    monkeypatch.setattr(saving, "_LATEST", 5.0)
+    monkeypatch.setattr(saving, "_LATEST", 1.0 if estimate is None else 20.0)
     answers: queue.SimpleQueue[tuple[bool, str]] = queue.SimpleQueue()
     worker: Any = Slow(estimate)
     monkeypatch.setattr(saving, "save", worker.save)
@@ -361,9 +411,11 @@ def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.Monk
     success, message = answers.get(timeout=30.0)
     assert success == (estimate is not None)
     expected = (
-        "no estimate yet: the first one takes more than" if estimate is None else "it uses 7 rows; an estimate from all"
+        "no estimate yet: the first one takes more than 1 s; ask"
+        if estimate is None
+        else f"DOUBTFUL: it weighs 2464 kg; DOUBTFUL: it is of another robot; written: {tmp_path}/estimate.json; it "
     )
-    assert expected in message
+    assert message.startswith(expected)
     assert worker.saved == ([] if estimate is None else [estimate])
     with pytest.raises(queue.Empty):
         answers.get(timeout=0.5)

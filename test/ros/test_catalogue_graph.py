@@ -65,7 +65,7 @@ def test_33_a_description_that_is_not_kept_for_those_who_come_late(strict: Stage
     told(strict, WARN, "no robot description yet")
     talker = strict.observer.node.create_publisher(String, "/robot_description", latched(1))
     talker.publish(String(data=description("arm3")))
-    told(strict, WARN, "no messages on joint_states")
+    told(strict, WARN, "no messages on /joint_states")
 
 
 def test_34_joint_states_less_reliable_than_is_asked_for(strict: Stage) -> None:
@@ -73,7 +73,7 @@ def test_34_joint_states_less_reliable_than_is_asked_for(strict: Stage) -> None:
     sloppy = node.create_publisher(
         JointState, "/joint_states", QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
     )
-    values = told(strict, ERROR, "joint_states: no messages from /observer", "QoS: reliability")
+    values = told(strict, ERROR, "/joint_states: no messages from /observer", "QoS: reliability")
     assert "joint_states received" not in values, "nothing came, and nothing is counted"
     node.destroy_publisher(sloppy)
     inertias = strict.observer.collect(InertiaStamped, "/geomid/inertias", latched())

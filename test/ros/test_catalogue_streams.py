@@ -191,7 +191,7 @@ def test_17_a_publisher_that_is_replaced(rig: Rig) -> None:
     node.destroy_publisher(old)
     begin = len(rig.arrays)
     rig.told("its end", begin, lambda _, status: TWO not in status.message)
-    rig.says(begin, WARN, "no messages on joint_states")
+    rig.says(begin, WARN, "no messages on /joint_states")
     rig.feed(after)
     rig.settled(begin)
     rig.assert_same_as_twin()

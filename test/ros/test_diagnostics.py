@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from geomid_ros.live.status import Status
 from geomid_ros.ros.diagnostics import Diagnostics
-from geomid_ros.signals.ledger import Account
+from geomid_ros.signals.ledger import Account, Reason, driver_error
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 TOPICS = ("joint_states", "/wrench")
@@ -66,6 +67,17 @@ def test_who_is_silent_is_named() -> None:
     before = status()
     after = status({"/wrench": Account(accepted=21)})
     assert said(before, after) == (WARN, "no messages on joint_states")
+    resolved = replace(after, names={"joint_states": "/left/arm/states"})
+    assert said(before, resolved) == (WARN, "no messages on /left/arm/states")
+
+
+@pytest.mark.parametrize("remark", [Reason("odd", "told"), driver_error("odd")])
+def test_a_remark_is_an_event(remark: str) -> None:
+    """Of whatever level."""
+    diagnostics = Diagnostics("geomid")
+    diagnostics.array(status({"joint_states": Account(accepted=20, noted=Counter({remark: 1}))}))
+    assert diagnostics.remarks == [f"joint_states: {remark}"]
+    assert {*diagnostics.remarks} <= {*diagnostics.errors, *diagnostics.warnings}
 
 
 @pytest.mark.parametrize(("received", "level"), [(9, WARN), (10, ERROR)])

@@ -161,7 +161,8 @@ def test_the_published_description_is_the_identified_urdf(live: Live) -> None:
 
 
 def test_markers(live: Live) -> None:
-    markers = live.late_markers[-1].markers
+    first, *markers = live.late_markers[-1].markers
+    assert first.action == Marker.DELETEALL
     assert [marker.header.frame_id for marker in markers] == live.links
     assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
     for marker, link in zip(markers, live.saved["links"], strict=True):
@@ -237,7 +238,7 @@ def test_diagnostics(live: Live) -> None:
 def test_silence_is_reported(live: Live) -> None:
     """The bag has ended: nothing comes any more."""
     last = live.diagnostics[-1].status[0]
-    assert (last.level, last.message) == (DiagnosticStatus.WARN, "no messages on joint_states, /wrench")
+    assert (last.level, last.message) == (DiagnosticStatus.WARN, "no messages on /joint_states, /wrench")
 
 
 def test_the_end_keeps_what_was_saved(live: Live) -> None:

@@ -94,5 +94,5 @@ def test_a_node_says_what_comes_and_what_it_has_found(stage: Stage) -> None:
     stage.spin_while(stage.play(BAGS / "arm3", 1.0))
     stage.observer.wait_for(lambda: "first estimate, from" in node.output, "the first estimate")
     lines = re.findall(r"\[INFO\] \S+ \[geomid\]: (.*)", node.output)
-    assert any(re.fullmatch(r"joint_states: receiving \d+ messages/s", line) for line in lines)
+    assert any(re.fullmatch(r"/joint_states: receiving \d+ messages/s", line) for line in lines)
     assert lines[0].startswith("identifying 3 links")

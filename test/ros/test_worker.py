@@ -107,6 +107,13 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
     assert np.mean(np.isfinite(targets[fast])) > 0.9
 
 
+def test_an_implausible_mass_is_told() -> None:
+    with closing(Watched(NEVER, effort_gain=9.0)) as heavy:
+        heavy.feed()
+        assert isinstance(heavy.final(), Estimate)
+        assert any("the total link mass is" in warning for warning in heavy.worker.status(active=True).warnings)
+
+
 def test_changes_are_looked_for_as_soon_as_there_are_rows_enough(quiet: Watched) -> None:
     """Not at the end of a period: this one never ends."""
     quiet.feed()
