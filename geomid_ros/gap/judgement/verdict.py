@@ -177,7 +177,7 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
     free = fit(search.design, prior, names.chosen, names, names.prior_stds).score
     for link, was in enumerate(nominal):
         change, is_changed_link = names.inertias[link] - was, link == search.prior.changed_link
-        if abs(change[0]) < _LEAST * was[0] and not is_changed_link:
+        if not np.any(change[:4]) or (abs(change[0]) < _LEAST * was[0] and not is_changed_link):
             continue
         if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # no link has more mass than the robot, nor has a payload
             continue
