@@ -56,8 +56,8 @@ def test_a_player_that_is_told_to_end(number: signal.Signals, stage: Stage) -> N
         topics = stage.observer.node.get_topic_names_and_types
         stage.observer.wait_for(lambda: "/joint_states" in dict(topics()), "a player")
     player.send(number)
-    assert player.status() == 1
-    assert "Aborted!" in player.output
+    assert player.status() == 130
+    assert "Interrupted." in player.output
 
 
 def test_idle_nodes(stage: Stage, tmp_path: Path) -> None:
