@@ -28,6 +28,7 @@ class Case:
     change: Change
     unseen: Change
     names: tuple[str, ...] = ()
+    depends_on: tuple[str, ...] = ()
 
 
 def untouched(_q: float, _v: float, effort: float, _t: float) -> float:
@@ -52,8 +53,8 @@ def creeping(_q: float, _v: float, effort: float, t: float) -> float:
 
 CASES = [
     Case("named", scaled, scaled, ("effort_gain", "effort_offset")),
-    Case("unexplained", rough, rough),
-    Case("incomplete", untouched, creeping),
+    Case("unexplained", rough, rough, depends_on=("position",)),
+    Case("incomplete", untouched, creeping, depends_on=("time",)),
 ]
 
 
@@ -92,6 +93,7 @@ def test_the_written_model_leaves_what_the_table_says(
     found = geomid_ros.find_gap(bag, urdf, validate=unseen)
     assert found.verdict == case.verdict
     assert {finding.effect for finding in found.findings} >= set(case.names)
+    assert tuple(entry.depends_on for entry in found.result.unexplained) == case.depends_on
     found.save(tmp_path / "found")
     checked = geomid_ros.verify(tmp_path / "found/estimate.json", unseen, urdf, require="rms<100*floor")
     assert all(outcome.passed for outcome in checked.outcomes)
