@@ -67,10 +67,11 @@ def deviations_of(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray
 
 
 def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> tuple[EffectEstimate, ...]:
-    """Effect estimates; each standard deviation includes the drift to other motions."""
+    """Effect estimates; each standard deviation is for the effect's own constant, as this is stated beside it, and
+    includes the drift to other motions."""
     model, first = problem.model, problem.manifold.inertial.stop
     _, diagonal = problem.manifold.jacobian(point)
-    prior, variances = found.prior_stds[first:] ** 2, np.diag(found.covariance)[first:]
+    prior, variances = found.prior_stds[first:] ** 2, (np.diag(found.covariance) - found.own_constant)[first:]
     wider = np.maximum(prior, problem.default_coefficient_stds(point) ** 2)
     separate = 1.0 / (found.by_rows[first:] + 1.0 / wider)
     variances = np.where(wider > prior, np.maximum(variances, separate), variances)

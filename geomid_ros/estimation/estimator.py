@@ -12,8 +12,9 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
+from geomid_ros.estimation.coefficient_fit import CoefficientRows
 from geomid_ros.estimation.effect_selection import Choice, choose, fit_files
-from geomid_ros.estimation.estimate import WITHIN, Estimate
+from geomid_ros.estimation.estimate import WITHIN, EffectEstimate, Estimate
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
@@ -21,7 +22,7 @@ from geomid_ros.estimation.paper_estimator import OBJECTIVES
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import effect_columns
 from geomid_ros.estimation.problem import Problem, required_columns, subproblem
-from geomid_ros.estimation.solvers import SOLVERS
+from geomid_ros.estimation.solvers import SOLVERS, Solution
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -172,16 +173,18 @@ def estimate(
     while True:
         # Solve anew, not from the last result: a dropped effect may have led it to another minimum.
         solved = fitted(columns, continued, choice)
-        result = _estimate(columns, full_problem, solved, settings)
-        if continued is not None or not len(insignificant := _least_significant(model, result, columns)):
+        minimum = _minimum(solved[0], settings)
+        if continued is not None or not len(insignificant := _least_significant(model, minimum, columns)):
             break
         columns = np.setdiff1d(columns, insignificant)
 
     def among(held: IntArray, start: IntArray) -> IntArray:
         return np.asarray(held[chosen(subproblem(full_problem, held), np.searchsorted(held, start)).columns])
 
-    errors, (_, weights, _) = _insignificant_errors(model, result, columns), solved
+    _, weights, notes = solved
+    errors = _insignificant_errors(model, minimum, columns)
     within = fit_files(model, columns, settings.files, errors, among, lambda held: fitted(held, weights=weights)[0])
+    result = _estimate(columns, full_problem, minimum, notes)
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
 
@@ -207,26 +210,26 @@ def _kept_columns(model: MeasurementModel, warm: WarmStart) -> IntArray:
     return np.flatnonzero(np.append(np.full(first, True), np.array(is_kept, dtype=bool)))
 
 
-def _least_significant(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
+def _least_significant(model: MeasurementModel, minimum: _Minimum, columns: IntArray) -> IntArray:
     """Column of the least significant optional effect; none if all are significant. Without it the others may be."""
     required = {c.mechanism for c in model.coefficients if not c.optional}
-    sizes = {k: size for k, c, size in _insignificant_effects(model, result, columns) if c.mechanism not in required}
+    sizes = {k: size for k, c, size in _insignificant_effects(model, minimum, columns) if c.mechanism not in required}
     return np.array([column for column, size in sizes.items() if size == min(sizes.values())], dtype=np.int64)
 
 
-def _insignificant_errors(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
+def _insignificant_errors(model: MeasurementModel, minimum: _Minimum, columns: IntArray) -> IntArray:
     """Columns of the sensor errors that are not significant."""
-    effects = _insignificant_effects(model, result, columns)
+    effects = _insignificant_effects(model, minimum, columns)
     return np.array([column for column, c, _ in effects if c.effect.is_sensor_error], dtype=np.int64)
 
 
 def _insignificant_effects(
-    model: MeasurementModel, result: Estimate, columns: IntArray
+    model: MeasurementModel, minimum: _Minimum, columns: IntArray
 ) -> Iterator[tuple[int, Coefficient, float]]:
     """Yield column, coefficient and size, in units of its standard deviation, of each effect that is not
     significant."""
     first = model.dimension - len(model.coefficients)
-    for column, effect in zip(columns[columns >= first].tolist(), result.effects, strict=True):
+    for column, effect in zip(columns[columns >= first].tolist(), minimum.effects, strict=True):
         size = abs(effect.value) / max(effect.std, np.finfo(float).tiny)
         if size < _TAKEN:
             yield column, model.coefficients[column - first], size
@@ -250,38 +253,59 @@ def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
     return summary.pooled(fast <= np.maximum(slow, unknowns))
 
 
-def _estimate(columns: IntArray, whole: Problem, solved: _Solved, settings: EstimatorSettings) -> Estimate:
-    """Assemble the estimate from a fit of these columns of the ``whole`` problem."""
-    fitted, _, notes = solved
-    problem = fitted.problem
-    model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
-    objective, solution = fitted.objective, fitted.solution
-    prior_point, prior_weights = problem.prior_point, objective.prior_weights
-    set_aside = 0
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Minimum:
+    """End of a solve: the fit, the minimum of the chosen objective, how many rows that one leaves out, the errors of
+    the parameters if the constants of effects are exact, and the effects with these errors."""
+
+    fitted: Fit
+    solution: Solution
+    set_aside: int
+    errors: uncertainty.Uncertainty
+    effects: tuple[EffectEstimate, ...]
+
+
+def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
+    """Return the minimum that a fit leads to, and its errors."""
+    problem, objective, solution = fitted.problem, fitted.objective, fitted.solution
+    manifold, summary, known = problem.manifold, problem.summary, problem.known
+    prior_weights, set_aside = objective.prior_weights, 0
     if settings.objective == "geodesic":
         geodesic = _geodesic_objective(objective)
         set_aside = int(np.count_nonzero(geodesic.set_aside))
         prior_weights = geodesic.prior_weights
         tolerance = max(settings.tolerance * float(np.min(prior_weights)) / geodesic.scale, np.finfo(float).eps)
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
-    by_fold = summary.products(fitted.sigmas, manifold.dimension)
     white, independent = (
         filtered_fraction(summary, settings.cutoff, per_period)
         for per_period in (WHITE_ROWS_PER_PERIOD, INDEPENDENT_ROWS_PER_PERIOD)
     )
     errors = uncertainty.estimate_uncertainty(
-        [_fold_at(manifold, solution.point, products) for products in by_fold],
+        [
+            _fold_at(manifold, solution.point, products)
+            for products in summary.products(fitted.sigmas, manifold.dimension)
+        ],
         _known_at(manifold, solution.point, known),
         1.0 / problem.independent_fraction,
         prior_weights,
-        manifold.log(solution.point, prior_point),
+        manifold.log(solution.point, problem.prior_point),
         _parameter_groups(problem),
         least_inflation=1.0 / white * independent / problem.independent_fraction,
         assumed_prior_stds=fitted.assumed_prior_stds,
         expected=_information_at(manifold, solution.point, known.prior_rows),
     )
+    effects = estimate_parts.effects(problem, solution.point, errors)
+    return _Minimum(fitted=fitted, solution=solution, set_aside=set_aside, errors=errors, effects=effects)
+
+
+def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Iterable[str]) -> Estimate:
+    """Assemble the estimate from a minimum over these columns of the ``whole`` problem."""
+    fitted, solution = minimum.fitted, minimum.solution
+    problem, point = fitted.problem, solution.point
+    model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
+    errors = minimum.errors.with_unknown_constants(_grid_steps(columns, whole, fitted, point))
     parameters = np.zeros(whole.model.dimension)
-    parameters[columns] = solution.point.parameters
+    parameters[columns] = point.parameters
     factor = np.sqrt(min(errors.independent_fraction, problem.independent_fraction))
     return Estimate(
         converged=solution.converged,
@@ -289,27 +313,51 @@ def _estimate(columns: IntArray, whole: Problem, solved: _Solved, settings: Esti
         steps=solution.steps,
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
-        rows_set_aside=set_aside,
-        links=estimate_parts.links(problem, solution.point, errors, _outliers(fitted)),
-        effects=estimate_parts.effects(problem, solution.point, errors),
+        rows_set_aside=minimum.set_aside,
+        links=estimate_parts.links(problem, point, errors, _outliers(fitted)),
+        effects=estimate_parts.effects(problem, point, errors),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),
         prior_stds=frozen(fitted.prior_stds),
         rms_nominal=frozen(whole.summary.rms(whole.model.described_parameters)),
-        rms=frozen(summary.rms(solution.point.parameters)),
+        rms=frozen(summary.rms(point.parameters)),
         information=uncertainty.links_information(
-            manifold, prior_point, solution.point, fitted.rows, known.weighed, errors
+            manifold, problem.prior_point, point, fitted.rows, known.weighed, errors
         ),
-        posterior=estimate_parts.posterior(problem, solution.point, errors),
+        posterior=estimate_parts.posterior(problem, point, errors),
         rows=frozen(factor * fitted.rows[0]),
         targets=frozen(factor * fitted.rows[1]),
-        known=estimate_parts.weighed(problem, solution.point, errors),
+        known=estimate_parts.weighed(problem, point, errors),
         warnings=(
-            *_outlier_warnings(model, fitted, solution.point),
+            *_outlier_warnings(model, fitted, point),
             *([_SPENT] if fitted.budget_exhausted else []),
             *notes,
         ),
+    )
+
+
+def _grid_steps(columns: IntArray, whole: Problem, fitted: Fit, point: Point) -> uncertainty.GridSteps:
+    """Steps of the grids from which the ``whole`` problem offers the constants of the effects among ``columns``: half
+    the change between the constants to either side, or at an end the change to the only one."""
+    rows = CoefficientRows(whole)
+    changes = np.zeros((0, whole.model.dimension))
+    places = []
+    for place, column in enumerate(columns.tolist()):
+        shapes = rows.shapes[rows.mechanism(column)] if column >= rows.first_column else []
+        if len(shapes) > 1:
+            at = shapes.index(column)
+            nearby = shapes[max(at - 1, 0) : at + 2]
+            change = np.zeros(whole.model.dimension)
+            change[nearby[-1]], change[nearby[0]] = 1.0, -1.0
+            changes = np.vstack([changes, point.parameters[place] / (len(nearby) - 1) * change])
+            places.append(place)
+    changed = np.flatnonzero(np.any(changes, axis=0))
+    products = changes[:, changed] @ whole.products.some(changed, fitted.sigmas**-2.0)
+    return uncertainty.GridSteps(
+        np.array(places, dtype=np.int64),
+        fitted.problem.manifold.whiten(point, products[:, columns]),
+        np.sum(products[:, :-1] * changes, axis=1),
     )
 
 

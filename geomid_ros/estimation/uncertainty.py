@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,21 @@ class ParameterGroup:
 
 
 @dataclass(frozen=True, eq=False)
+class GridSteps:
+    """By how much the rows at an estimate would change if an effect had the next constant of its grid.
+
+    Attributes:
+        columns: Tangent coordinate ``(k,)`` of each effect's coefficient.
+        products: Products ``(k, D)`` of the changes with the rows' derivatives by the tangent coordinates.
+        squares: Squared norms ``(k,)`` of the changes.
+    """
+
+    columns: IntArray
+    products: FloatArray
+    squares: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Uncertainty:
     """Uncertainty at an estimate, in tangent coordinates.
 
@@ -53,6 +68,8 @@ class Uncertainty:
         prior: Covariance ``(D, D)`` of the prior's error.
         independent_fraction: Fraction of the measured rows' information that correlations leave, 0 to 1.
         by_rows: Information ``(D,)`` of the rows on each coordinate, with the others free within their priors.
+        response: Shift ``(D, D)`` of the estimate by a gradient of its objective: the inverse Hessian.
+        own_constant: The part ``(D,)`` of the variances that the constant of a coefficient's own effect causes.
     """
 
     covariance: FloatArray
@@ -60,6 +77,8 @@ class Uncertainty:
     prior: FloatArray
     independent_fraction: float
     by_rows: FloatArray
+    response: FloatArray
+    own_constant: FloatArray | float = 0.0
 
     @property
     def prior_stds(self) -> FloatArray:
@@ -75,6 +94,20 @@ class Uncertainty:
         root = np.linalg.inv(np.linalg.cholesky(self.prior[columns, columns]))
         remaining = np.linalg.eigvalsh(root @ self.covariance[columns, columns] @ root.T)
         return float(np.mean(np.clip(1.0 - remaining, 0.0, 1.0)))
+
+    def with_unknown_constants(self, steps: GridSteps) -> Uncertainty:
+        """Return it with the errors of constants that were chosen from grids.
+
+        To first order a constant that is off by ``d`` steps of its grid shifts the estimate as ``d`` times the change
+        of the rows does. Its variance, in steps, is that of rounding to the grid, 1 / 12, and that of the choice: a
+        prior std of one step, and what the change has beyond all that other parameters can follow.
+        """
+        moves = steps.products @ self.response
+        told = self.independent_fraction * (steps.squares - np.sum(moves * steps.products, axis=1))
+        variances = 1.0 / 12.0 + 1.0 / (1.0 + np.maximum(told, 0.0))
+        own = np.zeros(len(self.covariance))
+        own[steps.columns] = variances * moves[np.arange(len(moves)), steps.columns] ** 2
+        return replace(self, covariance=self.covariance + (moves.T * variances) @ moves, own_constant=own)
 
 
 def estimate_uncertainty(
@@ -121,7 +154,7 @@ def estimate_uncertainty(
     covariance = noise + inherited
     prior = information_inverse(np.zeros_like(covariance) + expected, stds**-2.0)
     by_rows = np.maximum(1.0 / np.diag(inverse) - weights, 0.0) / factors
-    return Uncertainty(covariance, inherited, prior, share, by_rows)
+    return Uncertainty(covariance, inherited, prior, share, by_rows, inverse)
 
 
 def _together(folds: Sequence[Fold], count: int) -> list[Fold]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
 from geomid_ros.gap.candidates import EffectTerm, passivity_constraints
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import Spring
@@ -20,13 +20,13 @@ from .arms import Case, arm, solved
 JOINT, SPEED = 1, 0.12  # the joint with the planted friction; [rad/s] over which it sets in
 
 
-def sets_in(share: float) -> Case:
+def sets_in(share: float, within: float = SPEED) -> Case:
     """An arm one of whose joints has, beside standstill, 1 + ``share`` of the dry friction that it has when fast."""
     case = arm("arm3", 0, noise=0.02)
     level = case.true.effects["coulomb_friction"][JOINT]
     speed = case.samples.velocity[:, JOINT]
     efforts = case.samples.effort.copy()
-    efforts[:, JOINT] += share * level * np.tanh(speed / 0.02) * np.exp(-((speed / SPEED) ** 2))
+    efforts[:, JOINT] += share * level * np.tanh(speed / 0.02) * np.exp(-((speed / within) ** 2))
     model = MeasurementModel(case.model.robot, case.effects, candidates=Configuration().candidates)
     return replace(case.with_efforts(efforts), model=model)
 
@@ -48,6 +48,14 @@ def test_friction_that_would_drive_sets_in_gradually(objective: str) -> None:
 def test_friction_that_sticks_is_as_measured() -> None:
     level, excess = friction(solved(sets_in(1.0)))
     assert excess == pytest.approx(level, rel=0.1)
+
+
+@pytest.mark.parametrize("within", [0.09, 0.18])
+def test_viscous_friction_beside_a_speed_between_those_tried_is_within_its_interval(within: float) -> None:
+    case = sets_in(1.0, within)
+    (viscous,) = (e for e in solved(case).effects if (e.name, e.joint) == ("viscous_friction", "joint2"))
+    true = case.true.effects["viscous_friction"][JOINT]
+    assert abs(viscous.value - true) < STDS_OF_95 * viscous.std < 2.0 * true
 
 
 def test_rows_are_of_driven_places_alone() -> None:

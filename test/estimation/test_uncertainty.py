@@ -15,6 +15,7 @@ from geomid_ros.estimation.estimator import WHITE_ROWS_PER_PERIOD, EstimatorSett
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertainty import (
     Fold,
+    GridSteps,
     ParameterGroup,
     Uncertainty,
     error_covariance,
@@ -90,8 +91,29 @@ def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolut
     inverse = np.linalg.inv(fisher + np.diag(spreads**-2.0))
     noise, inherited = error_covariance(inverse, fisher, 1.0, np.zeros((6, 6)), np.ones(6), 1.0 / spreads)
     resolution = inverse @ fisher
-    found = Uncertainty(noise + inherited, inherited, np.diag(spreads**2), 1.0, np.zeros(len(spreads)))
+    found = Uncertainty(noise + inherited, inherited, np.diag(spreads**2), 1.0, np.zeros(len(spreads)), inverse)
     assert found.from_data(slice(0, 6)) == pytest.approx(np.trace(resolution) / 6.0, rel=1e-9)
+
+
+@pytest.mark.parametrize(("size", "least_told"), [(30.0, 100.0), (0.3, 0.0)], ids=["rounded", "not told"])
+def test_a_constant_from_a_grid_leaves_the_errors_that_simulated_ones_have(size: float, least_told: float) -> None:
+    """Against least squares of rows whose true constant is between the grid's: told by the rows, so that it is only
+    rounded, or anywhere within a step by its prior."""
+    rng = np.random.default_rng(3)
+    rows, change, runs = rng.normal(size=(40, 3)), size * rng.normal(size=40), 20000
+    inverse = np.linalg.inv(rows.T @ rows)
+    change = change + size * rows[:, 0]  # what the first column explains of it
+    told = float(change @ change - change @ rows @ inverse @ rows.T @ change)
+    assert told > least_told
+    steps = GridSteps(np.array([1]), (rows.T @ change)[None], np.array([change @ change]))
+    nothing_else = Uncertainty(inverse, np.zeros((3, 3)), np.eye(3), 1.0, np.zeros(3), inverse)
+    found = nothing_else.with_unknown_constants(steps)
+    rounding, by_prior = rng.uniform(-0.5, 0.5, runs), rng.normal(size=runs) / np.sqrt(1.0 + told)
+    efforts = rng.normal(size=(40, runs)) + np.outer(change, rounding + by_prior)
+    errors = np.linalg.lstsq(rows, efforts, rcond=None)[0]
+    np.testing.assert_allclose(errors @ errors.T / runs, found.covariance, rtol=0, atol=0.05 * np.max(found.covariance))
+    own = np.diag(found.covariance) - np.diag(inverse)
+    np.testing.assert_allclose(found.own_constant, [0.0, own[1], 0.0])
 
 
 def recorded(rows: FloatArray, residuals: FloatArray, folds: int = 8) -> list[Fold]:
