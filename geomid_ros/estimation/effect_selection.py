@@ -77,8 +77,9 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
         if larger is None:
             break
         tried.add(rows.mechanism(column))
+        larger = _shaped(larger, joints_of(rows.coefficient(column).place))
         if np.all(larger.is_plausible) and larger.leaves_less(fit, _VISIBLE):
-            fit = _shaped(larger, joints_of(rows.coefficient(column).place))
+            fit = larger
     return _without_insignificant(fit)
 
 
@@ -101,7 +102,7 @@ def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
         for place in side:
             columns = np.sort(np.append(np.setdiff1d(fit.all_columns, shapes), shapes[place]))
             shaped = fit.rows.fit(columns, before, prior_stds=fit.fit.scales)
-            if shaped.score >= before.score:
+            if shaped.score >= before.score or not np.all(shaped.is_plausible):
                 break
             before = shaped
         best = min(best, before, key=lambda candidate: candidate.score)
