@@ -214,6 +214,11 @@ class CoefficientFit:
         return np.union1d(self.columns, self.zero_columns)
 
     @property
+    def mechanisms(self) -> list[Mechanism]:
+        """Mechanisms in the fit."""
+        return [self.rows.mechanism(column) for column in self.all_columns if column >= self.rows.first_column]
+
+    @property
     def negative(self) -> IntArray:
         """Columns of coefficients that are negative and cannot be."""
         return self.columns[(self.fit.point.parameters < 0.0) & self.rows.positive[self.columns]]

@@ -84,29 +84,21 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
 
 
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
-    """Give every non-optional effect of ``joints`` its most likely shape, one effect after the other."""
+    """Give every effect of ``joints`` its most likely shape, one effect after the other."""
     rows = fit.rows
-    for mechanism in rows.required_mechanisms:
+    for mechanism in fit.mechanisms:
         if set(joints).intersection(joints_of(mechanism[1])):
             fit = _best_shape(fit, rows.shapes[mechanism])
     return rows.fit(fit.all_columns, fit)
 
 
 def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
-    """Give one effect its most likely shape among the columns ``shapes``, which are in the order of its constant.
-    Searches from its present shape to either side, while each shape is more likely than the one before."""
-    present = next(place for place, shape in enumerate(shapes) if shape in fit.all_columns)
-    best = fit
-    for side in (range(present + 1, len(shapes)), range(present - 1, -1, -1)):
-        before = fit
-        for place in side:
-            columns = np.sort(np.append(np.setdiff1d(fit.all_columns, shapes), shapes[place]))
-            shaped = fit.rows.fit(columns, before, prior_stds=fit.fit.scales)
-            if shaped.score >= before.score or not np.all(shaped.is_plausible):
-                break
-            before = shaped
-        best = min(best, before, key=lambda candidate: candidate.score)
-    return best
+    """Give one effect its most likely shape among the columns ``shapes`` in which all effects are plausible."""
+    others = np.setdiff1d(fit.all_columns, shapes)
+    absent = [shape for shape in shapes if shape not in fit.all_columns]
+    tried = [fit.rows.fit(np.sort(np.append(others, shape)), fit, prior_stds=fit.fit.scales) for shape in absent]
+    plausible = [shaped for shaped in tried if np.all(shaped.is_plausible)]
+    return min([fit, *plausible], key=lambda shaped: shaped.score)
 
 
 def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
