@@ -45,8 +45,8 @@ class Finding(KnownEffect):
     Attributes:
         probability: of the effect, against nothing and its rivals.
         rivals: other effects that explain the same remainder.
-        separability: fraction of the effect's columns, 0 to 1, outside the span of the inertias and the other findings
-            for this motion.
+        separability: fraction of the effect's columns, 0 to 1, that inertias and the other findings cannot imitate for
+            this motion, as far as prior and other recordings let them.
         loss: how much worse the score is without it.
         share: fraction of the gap that it closes.
         was: the parameters before, if the model had the effect, which has changed.

@@ -153,6 +153,19 @@ def relative_std_from_remainder(
     return _doubt(design, found, _remainder_along(design, found), columns, values)
 
 
+def separability(design: Design, found: JointFit[Any, Any], candidate: Hypothesis[Any]) -> float:
+    """Fraction of a hypothesis's columns, 0 to 1, that the other parameters of a fit cannot imitate within their prior
+    and other recordings."""
+    values, places = found.changes[candidate], _places(found, candidate)
+    alone = np.zeros(found.manifold.dimension + 1)  # with the target's
+    alone[places] = values
+    products = design.gather(found.bodies, found.terms)
+    pairs = zip(products.places, products.blocks, strict=True)
+    squares = np.array([alone[columns] @ block @ alone[columns] for columns, block in pairs])
+    information = float(values @ np.linalg.solve(found.covariance[np.ix_(places, places)], values))
+    return float(np.clip(information / max(float(np.sum(design.counts / found.squares * squares)), 1e-300), 0.0, 1.0))
+
+
 def _remainder_along(design: Design, joint_fit: JointFit[Any, Any]) -> FloatArray:
     """Sum of squares ``(C,)`` of the part of each channel's remainder that may lie along any columns."""
     return np.array([_ALONG**2 * lack.power for lack in joint_fit.remainders(design)])
@@ -171,7 +184,7 @@ def _doubt(
     return error / max(float(np.sum(powers)), 1e-300)
 
 
-def _places(joint_fit: JointFit[Chosen, Term], candidate: Chosen) -> list[int]:
+def _places(joint_fit: JointFit[Any, Any], candidate: Hypothesis[Any]) -> list[int]:
     """Indices ``(k,)`` of a hypothesis's parameters."""
     if candidate.payload is None:
         return [joint_fit.place(term) for term in candidate.terms]

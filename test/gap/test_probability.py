@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.gap import analysis
 from geomid_ros.gap.judgement.verdict import ranking
-from geomid_ros.inference.probability import Support, Supports, relative_std_from_remainder
+from geomid_ros.inference.probability import Support, Supports, relative_std_from_remainder, separability
 from geomid_ros.inference.selection import Selection
 
 from . import planted
@@ -173,3 +173,12 @@ def test_a_power_that_rounding_leaves_below_zero_is_none() -> None:
     )
     found: Any = SimpleNamespace(squares=np.ones(2), remainders=lambda _: [SimpleNamespace(power=1.0, freedom=1.0)] * 2)
     assert relative_std_from_remainder(design, found, 0, np.ones(1)) == pytest.approx(0.5)
+
+
+def test_separability_is_what_the_others_leave_of_a_column_and_a_known_parameter_imitates_nothing() -> None:
+    design = Recording(3, [VISCOUS, ROTOR], {ROTOR.terms[0]: VISCOUS.terms[0]}).design({VISCOUS.terms[0]: 0.5})
+    selection = Selection(design, PRIOR, [VISCOUS, ROTOR])
+    assert separability(design, selection.fit([VISCOUS]), VISCOUS) > 0.9
+    assert separability(design, selection.fit([VISCOUS, ROTOR]), VISCOUS) == pytest.approx(0.01, rel=0.3)
+    known = replace(PRIOR, terms=ROTOR.terms, values=np.zeros(1), prior_stds=np.full(1, 1e-6))
+    assert separability(design, Selection(design, known, [VISCOUS]).fit([VISCOUS]), VISCOUS) > 0.9

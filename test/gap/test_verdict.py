@@ -17,6 +17,7 @@ from geomid_ros.gap.judgement import verdict
 from geomid_ros.gap.judgement.held_out import locate_residuals, share, strongest
 from geomid_ros.gap.result import Finding, GapResult, ResidualDependence
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Quantity
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -100,6 +101,31 @@ def finding(effect: str, parameters: dict[str, Quantity], probability: float = 1
     """A finding without rivals."""
     rest = {"rivals": (), "separability": 1.0, "loss": 9.0, "share": 1.0, "was": {}, "settled_by": ""}
     return Finding(effect=effect, parameters=parameters, probability=probability, **rest, **place)
+
+
+@pytest.mark.parametrize(("separable", "expected"), [(1.0, 0.1), (0.25, 0.2), (0.0, 1.0)])
+def test_the_remainder_counts_by_the_part_of_the_columns_that_determines_a_size(
+    separable: float, expected: float
+) -> None:
+    spring = next(c for c in CANDIDATES if c.name == "spring")
+    found = widened(spring, {"stiffness": Quantity(2.0, 0.0, "N m/rad")}, separable, identified=True)
+    assert found["stiffness"].std == pytest.approx(2.0 * expected)
+
+
+@pytest.mark.parametrize(("identified", "expected"), [(True, 0.0), (False, 0.9 * GAIN)])
+def test_a_gain_beside_a_drawing_is_as_uncertain_as_the_others_are(identified: bool, expected: float) -> None:
+    gain = next(c for c in CANDIDATES if c.name == "effort_gain")
+    found = widened(gain, {"gain": Quantity(0.9, 0.01, "-")}, 1.0, of_remainder=0.0, identified=identified)
+    assert found["gain"].std == pytest.approx(np.hypot(0.01, expected))
+
+
+def widened(
+    candidate: Any, sizes: dict[str, Quantity], separable: float, *, identified: bool, of_remainder: float = 0.1
+) -> dict[str, Quantity]:
+    """Sizes of a new effect with the doubt of the remainder."""
+    search = SimpleNamespace(prior=SimpleNamespace(identified=identified))
+    analysis: Any = SimpleNamespace(search=search, supports={candidate: SimpleNamespace(relative_std=of_remainder)})
+    return verdict.widened_by_remainder(analysis, candidate, sizes, {}, separable)
 
 
 FOUND = {"level": Quantity(0.5, 0.01, "N m"), "gain": Quantity(1.25, 0.1, "-")}

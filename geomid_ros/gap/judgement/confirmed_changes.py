@@ -218,7 +218,7 @@ def _findings_as_written(
             yield finding
         elif candidate in joint_fit.chosen:
             parameters = library.parameters(model, joint_fit, candidate, usual_load=analysis.usual_load(candidate))
-            widened = widened_by_remainder(analysis, candidate, parameters, finding.was)
+            widened = widened_by_remainder(analysis, candidate, parameters, finding.was, finding.separability)
             sized = {**finding.parameters, **candidate.effect.sizes(widened)}
             listed = analysis.search.prior.identified and finding.moment  # in a URDF the links' are as uncertain
             moment = library.first_moment(joint_fit, candidate) if listed else {}

@@ -14,8 +14,8 @@ from geomid_ros.gap.candidates import ODDS, Candidate, EffectsFit, EffectsPrior
 from geomid_ros.gap.judgement.held_out import HeldOut, strongest
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import fit, scattered
-from geomid_ros.inference.probability import probability_of_square, relative_std_from_remainder
-from geomid_ros.inference.rao_score import score_test
+from geomid_ros.inference.prior import GAIN
+from geomid_ros.inference.probability import probability_of_square, relative_std_from_remainder, separability
 from geomid_ros.model.effects import EFFECTS, Quantity, Values
 from geomid_ros.model.effects.situation import OnLink
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -34,13 +34,13 @@ def findings(model: MeasurementModel, analysis: Analysis) -> list[tuple[Candidat
 
 def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, sized: EffectsFit) -> Finding:
     search, names, support = analysis.search, analysis.effects, analysis.supports[candidate]
-    without = search.without(names, candidate)
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
     joint, link = model.places.name(candidate.place), model.places.link(candidate.place)
     load = analysis.usual_load(candidate)
     parameters = library.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = library.known_before(model, search.prior, candidate, load)
-    parameters = widened_by_remainder(analysis, candidate, parameters, was)
+    separable = separability(search.design, names, candidate)
+    parameters = widened_by_remainder(analysis, candidate, parameters, was, separable)
     moment = library.first_moment(sized, candidate)
     if not any(map(_is_significant, moment.values())) or _is_significant(parameters["mass"]):
         moment = {}
@@ -53,7 +53,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         parameters=parameters,
         probability=support.probability,
         rivals=tuple(rivals),
-        separability=float(np.clip(score_test(search.design, without, candidate).separability, 0.0, 1.0)),
+        separability=separable,
         loss=support.loss,
         share=_share(analysis, candidate),
         was=was,
@@ -63,13 +63,21 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
 
 
 def widened_by_remainder(
-    analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values
+    analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values, separable: float
 ) -> dict[str, Quantity]:
-    """Widen the parameters' standard deviations by the effect of the remainder, and by their drift between motions."""
-    effect, doubt = candidate.effect, np.hypot(analysis.supports[candidate].relative_std, candidate.effect.drift)
+    """Widen the parameters' standard deviations by the effect of the remainder, and by their drift between motions.
+
+    Only the separable part of the columns determines a size, so the remainder changes it by more, at most by all of it.
+    A gain in addition to a URDF is relative to the other joints' gains, which are as uncertain as a common one.
+    """
+    effect, of_remainder = candidate.effect, analysis.supports[candidate].relative_std
+    of_remainder /= max(float(np.sqrt(separable)), of_remainder, 1e-300)
+    doubt = np.hypot(of_remainder, effect.drift)
+    gain = GAIN if effect.scales_measurement and not analysis.search.prior.identified else 0.0
     sizes = effect.sizes(parameters).items()
     changes = {name: abs(size.value - was.get(name, effect.absent_value)) for name, size in sizes}
-    return parameters | {n: replace(q, std=float(np.hypot(q.std, doubt * changes[n]))) for n, q in sizes}
+    stds = {n: float(np.linalg.norm([q.std, doubt * changes[n], gain * q.value])) for n, q in sizes}
+    return parameters | {n: replace(q, std=stds[n]) for n, q in sizes}
 
 
 def probability_by_size(candidate: Candidate, parameters: Mapping[str, Quantity], was: Values) -> float:
