@@ -15,20 +15,23 @@ from geomid_ros.model.effects.friction import CoulombFriction, SaturatingFrictio
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.session.configuration import Configuration
 
-from .arms import Case, arm, solved
+from .arms import Case, arm, efforts, solved
 
 JOINT, SPEED = 1, 0.12  # the joint with the planted friction; [rad/s] over which it sets in
 
 
-def sets_in(share: float, within: float = SPEED) -> Case:
-    """An arm one of whose joints has, beside standstill, 1 + ``share`` of the dry friction that it has when fast."""
+def sets_in(share: float, within: float = SPEED, pace: float = 1.0) -> Case:
+    """An arm one of whose joints has, beside standstill, 1 + ``share`` of the dry friction that it has when fast; in a
+    motion of ``pace`` times the speed."""
     case = arm("arm3", 0, noise=0.02)
-    level = case.true.effects["coulomb_friction"][JOINT]
-    speed = case.samples.velocity[:, JOINT]
-    efforts = case.samples.effort.copy()
-    efforts[:, JOINT] += share * level * np.tanh(speed / 0.02) * np.exp(-((speed / within) ** 2))
+    usual = case.samples
+    moving = replace(usual, velocity=pace * usual.velocity, acceleration=pace**2 * usual.acceleration)
+    change = efforts(case.model.robot, case.true, moving) - efforts(case.model.robot, case.true, usual)
+    level, speed = case.true.effects["coulomb_friction"][JOINT], moving.velocity[:, JOINT]
+    measured = usual.effort + change
+    measured[:, JOINT] += share * level * np.tanh(speed / 0.02) * np.exp(-((speed / within) ** 2))
     model = MeasurementModel(case.model.robot, case.effects, candidates=Configuration().candidates)
-    return replace(case.with_efforts(efforts), model=model)
+    return replace(case, samples=replace(moving, effort=measured), model=model)
 
 
 def friction(found: Estimate) -> tuple[float, float]:
@@ -50,12 +53,15 @@ def test_friction_that_sticks_is_as_measured() -> None:
     assert excess == pytest.approx(level, rel=0.1)
 
 
-@pytest.mark.parametrize("within", [0.09, 0.18])
-def test_viscous_friction_beside_a_speed_between_those_tried_is_within_its_interval(within: float) -> None:
-    case = sets_in(1.0, within)
-    (viscous,) = (e for e in solved(case).effects if (e.name, e.joint) == ("viscous_friction", "joint2"))
-    true = case.true.effects["viscous_friction"][JOINT]
-    assert abs(viscous.value - true) < STDS_OF_95 * viscous.std < 2.0 * true
+@pytest.mark.parametrize("within", [0.075, 0.16, 0.2])
+def test_friction_that_sticks_in_slow_motion_is_not_less_viscous_friction(within: float) -> None:
+    """Its speed is between those that are tried, so that another shape of the dry friction beside it, in which nothing
+    falls, would follow the rows better; and the interval of the viscous friction must say that it is not known."""
+    found = solved(sets_in(1.0, within, pace=0.3))
+    own = {effect.name: effect for effect in found.effects if effect.joint == "joint2"}
+    assert "stribeck_friction" in own
+    viscous, true = own["viscous_friction"], arm("arm3", 0, noise=0.02).true.effects["viscous_friction"][JOINT]
+    assert abs(viscous.value - true) < STDS_OF_95 * viscous.std < true
 
 
 def test_rows_are_of_driven_places_alone() -> None:
