@@ -65,7 +65,7 @@ def _reach(robot: Robot, link: str) -> float:
 
 
 def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
-    """Sentence if legs stood in all fitted data, so that their efforts are not informative; else empty."""
+    """Sentence if legs have no fitted rows: with the friction of a fast swing, short steps bear a load; else empty."""
     if model.legs is None:
         return []
     names = model.robot.joint_names
@@ -77,9 +77,9 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
     if not standing:
         return []
     sentence = (
-        f"{', '.join(standing)} never left the ground in the training data: for these legs only parameters that the "
-        "base wrench depends on are identifiable. Lift each leg and move it in the air for two seconds or more; if it "
-        "was lifted, that part was held out (--hold-out 0 fits it, too)"
+        f"the training data show {', '.join(standing)} never long enough in the air (the short steps of a trot are "
+        "not): for these legs only parameters that the base wrench depends on are identifiable. Lift each leg and move "
+        "it in the air for two seconds or more; if you did, that part was held out (--hold-out 0 fits it, too)"
     )
     return [sentence]
 

@@ -66,7 +66,7 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
     done("identify", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS, "--hold-out", "0", "--out", tmp_path)
     document = read(tmp_path)
     assert document["verdict"]["result"] == "usable", document["verdict"]
-    for wrong in ("never left the ground", "on the base"):
+    for wrong in ("never long enough in the air", "on the base"):
         assert not [each for each in document["warnings"] if wrong in each]
     robot = Robot(urdf("go2.urdf"), floating_base=True)
     truth = dict(zip(robot.body_names, true_parameters(robot, folder / "walk.truth.json"), strict=True))
@@ -98,8 +98,8 @@ def test_a_foot_that_no_contact_names_is_found(folder: Path) -> None:
     (sentence,) = (reason for reason in found.verdict.reasons if "without a declared contact" in reason)
     share = float(re.findall(r"(\d+) % at 'RR_foot'", sentence)[0])
     assert 10.0 < share < 50.0
-    (standing,) = (each for each in found.warnings if "never left the ground" in each)
-    assert standing.startswith("RL_foot never left the ground in the training data:")
+    (standing,) = (each for each in found.warnings if "never long enough in the air" in each)
+    assert standing.startswith("the training data show RL_foot never")
     assert "--hold-out 0" in standing
 
 
@@ -245,7 +245,8 @@ def hanging(item: Recorded) -> Recorded:
         (scaled("linear_acceleration", 1.0 / 9.81), "imu: the acceleration is in g"),
         (scaled("linear_acceleration", 0.0), "the driver has removed gravity"),
         (hanging, "no ground contact at feet FL_foot, FR_foot, RL_foot, RR_foot"),
-        (scaled("effort", np.nan), "ground reaction forces are not identifiable from the efforts in any sample"),
+        (scaled("effort", np.nan), "at FL_hip_joint, FL_thigh_joint, FL_calf_joint, FR_hip_joint"),
+        (scaled("effort", np.nan), "or compute them from set-points: --command TOPIC with --gains KP:KD"),
         (lambda item: None if item.topic == "/imu" else item, "has no topic /imu; --imu names another"),
     ],
 )
@@ -256,6 +257,13 @@ def test_recordings_that_cannot_be_used_are_refused(
     said = refused("identify", bag, "--urdf", folder / "go2.urdf", *LEGS, "--out", tmp_path / "out")
     assert message in " ".join(said.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_a_link_at_the_knee_is_no_foot(folder: Path, tmp_path: Path) -> None:
+    """It is named, and not the feet beside it."""
+    bag = spoiled(folder, tmp_path, lambda item: item)
+    with pytest.raises(InputError, match=r"forces on FL_calf are not identifiable .*\(--contacts\), not those at a knee"):
+        identified(bag, folder / "go2.urdf", contacts=["FL_calf", *CONTACTS[1:]])
 
 
 @pytest.mark.parametrize(
