@@ -152,3 +152,19 @@ def test_what_to_record_next() -> None:
     assert next_recordings(gap_result("unexplained", JOINTS)) == [
         "the joint alone, then hip alone, then both (for the residual at knee)"
     ]
+
+
+def test_what_to_record_next_of_several_places() -> None:
+    """A motion of several joints is one of each; what is left on the base of legs is no joint's."""
+    case = gap_result("unexplained", JOINTS)
+    left = [
+        replace(case.unexplained[0], joint=f"base/{axis}", depends_on=on)
+        for axis, on in (("fx", "load"), ("fz", "hip"))
+    ]
+    (finding,) = gap_result("ambiguous", JOINTS).findings
+    unsure = [replace(finding, joint=joint, settled_by="this joint at several constant speeds") for joint in JOINTS[:2]]
+    assert next_recordings(replace(case, findings=tuple(unsure), unexplained=tuple(left))) == [
+        f"each joint at several constant speeds (for Coulomb friction at {JOINTS[0]} and Coulomb friction at {JOINTS[1]})",
+        "the trunk swaying on all feet, then each leg in the air for two seconds or more (for the residual at base/fx and "
+        "the residual at base/fz)",
+    ]
