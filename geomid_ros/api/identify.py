@@ -103,6 +103,8 @@ class Identification:
     def verdict(self) -> Verdict:
         """Verdict on the result: ``usable``, ``doubtful`` or ``not converged``, with the reasons."""
         verdict = self.session.review.verdict(self.estimate, self.judged, self.held_out_rms)
+        if verdict.explains_all:
+            return verdict
         verdict = replace(verdict, warnings=(*verdict.warnings, *self.handover.limited))
         worse = self.handover.worse
         return replace(verdict, word=DOUBTFUL, reasons=(*verdict.reasons, *worse)) if worse else verdict

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,9 +34,7 @@ def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[RecordingF
     """Report limbs without a named contact that seem to support the robot, too; ``samples`` are any of a recording."""
     bearing = {}
     for tip in _unnamed_tips(robot, legs):
-        shares = Legs(robot, [Contact(tip)]).weight_fraction(samples)
-        if np.any(finite := np.isfinite(shares)):
-            bearing[tip] = float(np.mean(shares[finite]))
+        bearing[tip] = _weight_on(Legs(robot, [Contact(tip)]), samples)
     named = [f"{100.0 * share:.0f} % at '{tip}'" for tip, share in bearing.items() if share > LIFTED]
     if not named:
         return ()
@@ -44,6 +43,23 @@ def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[RecordingF
         "their feet (--contacts)"
     )
     return (RecordingFault(cause=Cause(kind="legs", sentence=sentence)),)
+
+
+def feet_of_fixed(robot: Robot, samples: Samples) -> list[str]:
+    """Ends of the limbs of a ``robot`` with a floating base, if it stands on them in ``samples`` of one that counts as
+    fixed: its efforts support its weight there. Empty if they do not."""
+    tips = _unnamed_tips(robot, Legs(robot, []))
+    still, level = np.zeros((len(samples), 6)), np.tile(np.eye(7)[6], (len(samples), 1))
+    moving = replace(samples, base_pose=level, base_velocity=still, base_acceleration=still)
+    share = _weight_on(Legs(robot, [Contact(tip) for tip in tips]), moving) if len(tips) > 1 else 0.0
+    return tips if _USUAL[0] <= share <= _USUAL[1] else []
+
+
+def _weight_on(legs: Legs, samples: Samples) -> float:
+    """Mean fraction of the URDF's weight on the feet, by the efforts of their legs; NaN if it is unknown."""
+    shares = legs.weight_fraction(samples)
+    shares = shares[np.isfinite(shares)]
+    return float(np.mean(shares)) if len(shares) else math.nan
 
 
 def _unnamed_tips(robot: Robot, legs: Legs) -> list[str]:
@@ -65,7 +81,7 @@ def _reach(robot: Robot, link: str) -> float:
 
 
 def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
-    """Sentence if legs stood in all fitted data, so that their efforts are not informative; else empty."""
+    """Sentence if legs have no fitted rows: with the friction of a fast swing, short steps bear a load; else empty."""
     if model.legs is None:
         return []
     names = model.robot.joint_names
@@ -77,19 +93,17 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
     if not standing:
         return []
     sentence = (
-        f"{', '.join(standing)} never left the ground in the training data: for these legs only parameters that the "
-        "base wrench depends on are identifiable. Lift each leg and move it in the air for two seconds or more; if it "
-        "was lifted, that part was held out (--hold-out 0 fits it, too)"
+        f"the training data show {', '.join(standing)} never long enough in the air (the short steps of a trot are "
+        "not): for these legs only parameters that the base wrench depends on are identifiable. Lift each leg and move "
+        "it in the air for two seconds or more; if you did, that part was held out (--hold-out 0 fits it, too)"
     )
     return [sentence]
 
 
 def carried_weight(legs: Legs, samples: Samples) -> tuple[RecordingFault, ...]:
     """Report if by the efforts of the legs the feet do not support the robot; ``samples`` are any of a recording."""
-    shares = legs.weight_fraction(samples)
-    shares = shares[np.isfinite(shares)]
-    share = float(np.mean(shares)) if len(shares) else 1.0
-    if _USUAL[0] <= share <= _USUAL[1]:
+    share = _weight_on(legs, samples)
+    if math.isnan(share) or _USUAL[0] <= share <= _USUAL[1]:
         return ()
     sentence = (
         f"leg efforts support {share:.2g} of the robot's weight on average (expected about 1): "

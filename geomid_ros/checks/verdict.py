@@ -33,11 +33,13 @@ class Verdict:
         word: one of :data:`STATUS`.
         reasons: why it cannot be used, in sentences, the most important first.
         warnings: notes on a usable result.
+        explains_all: True if whatever else is strange about the result follows from the reasons, and is left out.
     """
 
     word: str
     reasons: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    explains_all: bool = False
 
     @property
     def status(self) -> int:

@@ -74,7 +74,7 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     else:
         show_gap(result)
         print_written(files, out, report=report)
-        if is_open(result.result):
+        if is_open(result.result) and not result.session.robot.floating_base:
             arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--discriminate", out / "gap.json")
             click.echo(f"To discriminate between the rivals: geomid excite {shlex.join(map(str, arguments))}")
     sys.exit(result.status)

@@ -150,10 +150,16 @@ def _drake(robot: RobotToDescribe) -> DescriptionFiles:
 
 def _mujoco(robot: RobotToDescribe) -> DescriptionFiles:
     shapes = mjcf_shapes(robot.urdf, robot.path, robot.packages)
-    missing = list(dict.fromkeys(shapes.missing))
-    summary = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
+    missing = [f"{reason} ({_shapes_of(links)})" for reason, links in shapes.missing.items()]
+    rest = sum(map(len, list(shapes.missing.values())[_MOST_MISSING:]))
+    summary = [f"{rest} more shapes are missing"] if rest else []
     text = mjcf(robot.read(), {}, robot.effects, gravity=robot.gravity, shapes=shapes)
     return DescriptionFiles(text, [*missing[:_MOST_MISSING], *summary])
+
+
+def _shapes_of(links: Sequence[str]) -> str:
+    """Count shapes by the link of each."""
+    return f"{len(links)} shapes, the first of link '{links[0]}'" if len(links) > 1 else f"link '{links[0]}'"
 
 
 def as_described(model: ExportModel, packages: Mapping[str, Path] = MappingProxyType({})) -> RobotToDescribe:

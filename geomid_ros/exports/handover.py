@@ -279,11 +279,11 @@ class FileTest:
 
 
 _RECORD = (
-    "so does the full estimate: the fit does not generalise to this motion. Record more motion of this joint, in "
-    "more poses of the others, and check that there was no payload or contact"
+    "so does the full estimate: the fit does not generalise to this motion. Record more motion there, in more "
+    "poses, and check that there was no payload or undeclared contact"
 )
 _ADD = "add these to its predictions, or record more motion: they may be due to masses instead"
-_ADVICE = "choose another format (--for), or record more motion of this joint"
+_ADVICE = "choose another format (--for), or record more motion there"
 
 
 def evaluate_description(

@@ -425,6 +425,15 @@ class MeasurementModel:
                     for channel, of_axis in zip(self.layout.base, ground.T, strict=True):
                         column[channel] = column.get(channel, 0.0) - of_axis
 
+    def caused_by_efforts(self, samples: Samples, efforts: FloatArray) -> FloatArray:
+        """Return what K cases of further joint ``efforts (N, joints, K)`` add to all channels ``(N, channels, K)``, the
+        base's of standing legs included, from which :meth:`rows` eliminates ground forces."""
+        added = np.zeros((len(samples), len(self.channels), efforts.shape[2]))
+        added[:, self.layout.efforts] = efforts
+        if self.legs is not None:
+            self.legs.eliminate(samples, np.array(self.layout.base), added, np.zeros(added.shape[:2]))
+        return added
+
     @cached_property
     def columns(self) -> tuple[Column, ...]:
         """Columns that samples must contain: those of the effects, and of the joints' direction and rest."""

@@ -11,6 +11,7 @@ import numpy as np
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, STDS_OF_95
 from geomid_ros.gap.judgement.held_out import GAP_ABOVE
 from geomid_ros.gap.result import Confidence, Finding, GapResult, LinkChange, Ranked, Rival, Unexplained
+from geomid_ros.model.channels import BASE
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.types import FloatArray
 
@@ -38,6 +39,7 @@ _RECORD = {
     "reversals": "the joint back and forth, at several positions, with small and large strokes",
     "unknown": "the same motion again, to check whether the residual repeats",
 }
+_ON_LEGS = "the trunk swaying on all feet, then each leg in the air for two seconds or more"
 CONFIDENCE: dict[Confidence, tuple[str, str]] = {
     "confident": ("sure", "nothing else explains the data as well"),
     "tentative": ("tentative", "the best explanation, but the evidence is weak"),
@@ -281,5 +283,10 @@ def next_recordings(result: GapResult) -> list[str]:
             purposes.setdefault(finding.settled_by, []).append(effect)
     for entry in result.unexplained:
         motion = _RECORD.get(entry.depends_on, f"the joint alone, then {entry.depends_on} alone, then both")
+        motion = _ON_LEGS if entry.joint.startswith(f"{BASE}/") else motion
         purposes.setdefault(motion, []).append(f"the residual at {entry.joint}")
-    return [f"{motion} (for {_listed(list(dict.fromkeys(purpose)))})" for motion, purpose in purposes.items()]
+    once = {motion: list(dict.fromkeys(purpose)) for motion, purpose in purposes.items()}
+    return [
+        f"{motion.replace('this joint', 'each joint') if len(purpose) > 1 else motion} (for {_listed(purpose)})"
+        for motion, purpose in once.items()
+    ]

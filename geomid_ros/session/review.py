@@ -4,20 +4,21 @@ shapes in the URDF are reported."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.definite_faults import encoder_zeros
-from geomid_ros.checks.moving_base import displaced_imu, never_lifted, turned_imu
+from geomid_ros.checks.moving_base import displaced_imu, feet_of_fixed, never_lifted, turned_imu
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck, RunCheck, no_external_forces
 from geomid_ros.checks.unexplained import unexplained, unexplained_base
 from geomid_ros.checks.verdict import (
     HEAVIER,
     Verdict,
     poorly_predicted,
+    recording_verdict,
     verdict,
     worse_channels,
     worse_in_folds,
@@ -27,6 +28,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.bags.bag import Bag
+from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.shape_prior import OUTSIDE, Solid, UrdfInertial
 from geomid_ros.model.shape_prior import verdict as verdict_on_shape
@@ -36,6 +38,7 @@ from geomid_ros.session.setup import Setup
 from geomid_ros.signals.joint_gate import LEAP
 from geomid_ros.signals.ledger import Account, Ledger, Meaning, Reason, meaning_of
 from geomid_ros.signals.messages import IMU, message_type
+from geomid_ros.signals.unitree import KINDS
 from geomid_ros.types import FloatArray
 
 
@@ -221,10 +224,20 @@ class Review:
             self.findings = tuple({finding.sentence: finding for finding in findings}.values())
 
     def _moving_base(self) -> tuple[RecordingFault, ...]:
-        """One finding that the base may move, if it counts as fixed and an IMU was recorded; else none."""
+        """One finding that the base may move, if it counts as fixed and an IMU was recorded; else none. If the robot
+        stands on its legs, nothing can be identified."""
         if self._robot.floating_base or not self._imus:
             return ()
-        imu = self._imus[0]
+        imu, setup, kept = self._imus[0], self._setup, self.check.recorded
+        locked, gravity = setup.locked_joints, self._robot.gravity
+        robot = Robot(setup.urdf, floating_base=True, locked_joints=locked, gravity=gravity, source=setup.source)
+        if feet := feet_of_fixed(robot, kept) if kept is not None else []:
+            contacts = ",".join(f"{foot}:RADIUS" for foot in feet)
+            sentence = (
+                f"the bag has an IMU ({imu}), and the efforts of the legs support the robot's weight: its base is not "
+                f"fixed. Say so with --imu {imu}:FRAME and --contacts {contacts}"
+            )
+            return (RecordingFault(cause=Cause(kind="description", sentence=sentence, places=(imu,))),)
         sentence = (
             f"the bag has an IMU ({imu}), and efforts are not those of a robot whose base is fixed: if the base moves, "
             f"say so with --imu {imu}:FRAME and --contacts FOOT:RADIUS,..."
@@ -254,7 +267,8 @@ class Review:
         self._forgotten = self._ledger.topics
 
     def check_description(self) -> None:
-        """Refuse a URDF that cannot be a robot's: an estimate from it is meaningless, and may take for ever.
+        """Refuse a URDF that cannot be a robot's, or a base that is not fixed: an estimate is meaningless, and may take
+        for ever.
 
         Raises:
             InputError: the recordings so far show that.
@@ -289,6 +303,8 @@ class Review:
         is_explained = any(finding.cause.kind != "unexplained" for finding in self.findings)
         findings = self.findings if is_explained else self._unexplained(estimate, samples) or self.findings
         remarks = [*peculiarities(recorded.accounts), *self.remarks]
+        if any(finding.cause.kind == "legs" for finding in findings):
+            return replace(recording_verdict(findings, warnings=remarks), explains_all=True)
         if self._setup.base_topic == IMU:
             remarks += turned_imu(self._model, estimate)
             findings = findings or displaced_imu(self._model, samples, estimate.parameters)
@@ -333,7 +349,9 @@ class Review:
             *([_massless(self._robot.massless_links)] if self._robot.massless_links else []),
             self._setup.loaded.not_predicted if estimate is not None else "",
         ]
-        return [*filter(None, sentences), *(estimate.warnings if estimate is not None else ())]
+        if estimate is None or (verdict is not None and verdict.explains_all):
+            return [*filter(None, sentences)]
+        return [*filter(None, sentences), *estimate.warnings]
 
     @property
     def notes(self) -> list[str]:
@@ -345,7 +363,7 @@ class Review:
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are from another recording, and which parts of it are missing."""
         self.check.begin_recording(bag.path.name)
-        self._imus += [topic for topic, kind in bag.topics.items() if kind == message_type(IMU)]
+        self._imus += [topic for topic, kind in bag.topics.items() if kind in (message_type(IMU), KINDS[IMU])]
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
         self._unchecked += [] if bag.has_checksums else [bag.path.name]
 

@@ -123,7 +123,7 @@ class Session(Setup):
         for samples in batches:
             measured, predicted = self.model.predict(samples, several)
             if added is not None and self.model.layout.efforts:
-                predicted[:, self.model.layout.efforts] += added(samples)
+                predicted += self.model.caused_by_efforts(samples, added(samples))
             squares += np.nansum((measured[:, :, None] - predicted) ** 2, axis=0)
             counts += np.count_nonzero(np.isfinite(measured), axis=0)[:, None]
         mean = np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0)

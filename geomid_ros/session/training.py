@@ -11,6 +11,8 @@ from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.wrench_sensors import FirstForces
 from geomid_ros.errors import InputError
 from geomid_ros.model.measurement_model import Rows
+from geomid_ros.model.moving_base import Legs
+from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import sensor_channels
 from geomid_ros.session.session import Session
@@ -64,7 +66,8 @@ class TrainingData:
         """
         self._session = session
         self._fit = fit
-        self._any = self._measured = self._stands = False
+        self._any = self._measured = False
+        self._standing: Samples | None = None  # the first samples with a foot on the ground
         self._low, self._high = np.inf, -np.inf  # range of positions, by joint
 
     def add(self, samples: Samples) -> None:
@@ -73,7 +76,8 @@ class TrainingData:
             return
         self._any = True
         self._measured = self._measured or any(map(self._is_measured, samples.in_pieces()))
-        self._stands = self._stands or bool(np.any(samples.standing))
+        if self._standing is None and np.any(samples.standing):
+            self._standing = samples
         self._low = np.minimum(self._low, np.min(samples.position, axis=0))
         self._high = np.maximum(self._high, np.max(samples.position, axis=0))
         self._fit(samples)
@@ -87,17 +91,14 @@ class TrainingData:
         if not self._any:
             raise InputError(f"{files}: too short, no data left to identify from")
         legs = self._session.model.legs
-        if legs is not None and not self._stands:
+        if legs is not None and self._standing is None:
             feet = ", ".join(contact.frame for contact in legs.contacts)
             raise InputError(
                 f"{files}: leg efforts show no ground contact at feet {feet}. If the robot stands, check that efforts "
                 "are in N m (--gain); if it hangs or lies on a stand, leave out --imu and --contacts"
             )
-        if legs is not None and not self._measured:
-            raise InputError(
-                f"{files}: ground reaction forces are not identifiable from the efforts in any sample: not all joints "
-                "of a leg have efforts, or legs are always stretched. Let the driver publish the efforts of all joints"
-            )
+        if legs is not None and self._standing is not None and not self._measured:
+            raise InputError(f"{files}: {_no_ground_forces(self._session.model.robot, legs, self._standing)}")
         if not self._measured:
             channels = ", ".join(channel.name for channel in self._session.model.channels)
             raise InputError(
@@ -116,6 +117,25 @@ class TrainingData:
             "information"
         )
         return (RecordingFault(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)
+
+
+def _no_ground_forces(robot: Robot, legs: Legs, standing: Samples) -> str:
+    """Sentence on why the efforts never determine the forces of the ground; a foot stands in some of the samples."""
+    measured = np.any(np.isfinite(standing.effort), axis=0)
+    missing = [robot.joint_names[joint] for joints in legs.joints for joint in joints if not measured[joint]]
+    if missing:
+        return (
+            f"no efforts are measured at {', '.join(missing)}, so that ground reaction forces are unknown. Let the "
+            "driver publish the efforts of all joints, or compute them from set-points: --command TOPIC with --gains "
+            "KP:KD"
+        )
+    feet = zip(legs.contacts, legs.standing(standing), strict=True)
+    blind = [contact.frame for contact, (_, rows, onto_base) in feet if len(rows) and np.all(np.isnan(onto_base))]
+    return (
+        f"ground reaction forces on {', '.join(blind) or 'the feet'} are not identifiable from the efforts in any "
+        "sample: the joints do not move these links in three directions. Name the links that touch the ground "
+        "(--contacts), not those at a knee; if they are the feet, the legs are always stretched: bend them"
+    )
 
 
 class WrenchGuard:

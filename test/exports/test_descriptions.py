@@ -183,14 +183,19 @@ def test_shapes_come_along_as_far_as_their_meshes_are_found(tmp_path: Path) -> N
     mesh = "<visual><geometry><mesh filename='package://none/{}'/></geometry></visual></link>"
     (tmp_path / "there.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     head, _, tail = URDF.partition("</link>")
-    both = (mesh.format("there.obj") + mesh.format("gone.stl")).replace("</link>", "", 1)
+    (tmp_path / "unread.dae").touch()
+    names = ("there.obj", "gone.stl", "unread.dae", "unread.dae")
+    both = "".join(map(mesh.format, names)).replace("</link>", "", len(names) - 1)
     model = written(tmp_path, [], head + both + tail)
     whole = described(model, "mujoco", [], {"none": tmp_path})
     compiled = mujoco.MjModel.from_xml_string(whole.text)
     shapes = len(re.findall("<(?:visual|collision)>", URDF))
     assert (compiled.ngeom, compiled.nmesh) == (shapes + 1, 1)
-    (missing,) = whole.omissions
-    assert "gone.stl" in missing
+    gone, unread = whole.omissions
+    assert "gone.stl" in gone
+    first = ET.fromstring(URDF).find("link")
+    assert first is not None
+    assert unread == f"MuJoCo reads no .dae (2 shapes, the first of link '{first.get('name')}')"
     cylinders = [compiled.geom_size[g] for g in range(compiled.ngeom) if compiled.geom_bodyid[g] == 1]
     np.testing.assert_allclose(cylinders[0][:2], [0.07, 0.05])
 

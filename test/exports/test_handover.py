@@ -13,6 +13,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from files.recordings import BAGS, QUICK
+from model.robots import urdf, with_values
+from model.test_contacts import bent
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
@@ -28,7 +30,8 @@ from geomid_ros.files.models.written_model import written_model
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.session import save
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session, save
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 
@@ -62,6 +65,19 @@ def test_what_is_loaded_is_what_was_fitted(reader: str) -> None:
     judged = handed(reader).evaluate(found().judged, found().rms)
     for name, alone in expected(found(), reader).items():
         assert judged.alone[name] == pytest.approx(alone, rel=1e-4)
+
+
+def test_friction_of_a_file_counts_on_the_base_of_legs_that_stand() -> None:
+    """As the same friction does in the model's own rows: the test of a file adds its efforts to them."""
+    values = {"imu.frame": "imu", "contacts": ["FL_foot:0.022", "FR_foot:0.022"], "effects": ["viscous_friction"]}
+    session = Session(urdf("go2.urdf"), Configuration(values, "test"), "go2.urdf")
+    samples, nominal = bent(session.robot, seed=2), session.model.nominal_parameters
+    standing = np.random.default_rng(3).random((len(samples), 2)) < 0.6
+    samples = replace(with_values(samples, effort=samples.velocity), standing=standing)
+    viscous = [0.3 * (c.effect.name == "viscous_friction") for c in session.model.coefficients]
+    friction = np.append(session.model.nominal_inertias, viscous)
+    found = session.rms([samples], nominal[:, None], lambda samples: 0.3 * samples.velocity[:, :, None])
+    np.testing.assert_allclose(found[:, 0], session.rms([samples], friction))
 
 
 def test_what_is_loaded_is_what_was_fitted_with_a_joint_locked(tmp_path: Path) -> None:

@@ -152,3 +152,15 @@ def test_what_to_record_next() -> None:
     assert next_recordings(gap_result("unexplained", JOINTS)) == [
         "the joint alone, then hip alone, then both (for the residual at knee)"
     ]
+
+
+def test_what_to_record_next_of_several_places() -> None:
+    """A motion of several joints is one of each; what is left on the base of legs is no joint's."""
+    case, (finding,) = gap_result("unexplained", JOINTS), gap_result("ambiguous", JOINTS).findings
+    places = [("base/fx", "load"), ("base/fz", "hip")]
+    left = [replace(case.unexplained[0], joint=channel, depends_on=variable) for channel, variable in places]
+    unsure = [replace(finding, joint=joint, settled_by="this joint at several speeds") for joint in JOINTS[:2]]
+    of_joints, of_base = next_recordings(replace(case, findings=tuple(unsure), unexplained=tuple(left)))
+    assert of_joints.startswith("each joint at several speeds (for ")
+    assert of_base.startswith("the trunk swaying on all feet, then each leg in the air ")
+    assert of_base.endswith("(for the residual at base/fx and the residual at base/fz)")

@@ -12,7 +12,7 @@ import pytest
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import IMU
-from geomid_ros.signals.moving_base import GRAVITY_REMOVED, IN_G, NO_SPECIFIC_FORCE
+from geomid_ros.signals.moving_base import NO_SPECIFIC_FORCE, TOO_SMALL
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
@@ -93,7 +93,7 @@ def test_samples_do_not_depend_on_how_many_messages_come_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale", "fault"), [(1.0 / 9.81, IN_G), (0.0, GRAVITY_REMOVED), (2.5, NO_SPECIFIC_FORCE), (0.5, NO_SPECIFIC_FORCE)]
+    ("scale", "fault"), [(1.0 / 9.81, TOO_SMALL), (0.0, TOO_SMALL), (2.5, NO_SPECIFIC_FORCE), (0.5, NO_SPECIFIC_FORCE)]
 )
 def test_an_acceleration_that_is_not_gravity_on_average_is_not_used(scale: float, fault: str) -> None:
     """It is a driver's fault, which the verdict names."""

@@ -96,7 +96,11 @@ class Bag:
             raise InputError(f"{self.path}: has no topic {wanted}; {option} names another. Its topics: {listing}")
         topic, kind = topics[wanted]
         if kind not in (message_type, instead):
-            raise InputError(f"{self.path}: topic {topic} is of type {kind}, expected {message_type}")
+            read = f"{message_type} or {instead}" if instead else message_type
+            raise InputError(
+                f"{self.path}: topic {topic} is of type {kind}, which is not read; expected {read}. Convert it to one "
+                f"of these, or name another topic ({option})"
+            )
         return topic
 
     def count(self, topics: Collection[str]) -> int:

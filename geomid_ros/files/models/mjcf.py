@@ -42,11 +42,12 @@ _KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """The ``geoms`` of links by name, the ``assets`` that they need, and sentences on ``missing`` ones."""
+    """The ``geoms`` of links by name, the ``assets`` that they need, and for each reason why
+    some are ``missing`` their links."""
 
     geoms: dict[str, list[Element]] = field(default_factory=dict)
     assets: list[Element] = field(default_factory=list)
-    missing: list[str] = field(default_factory=list)
+    missing: dict[str, list[str]] = field(default_factory=dict)
 
 
 def mjcf_shapes(urdf: str, path: Path, packages: Mapping[str, Path] = MappingProxyType({})) -> Shapes:
@@ -54,7 +55,7 @@ def mjcf_shapes(urdf: str, path: Path, packages: Mapping[str, Path] = MappingPro
 
     Args:
         urdf: text of the URDF.
-        path: its file, above which meshes are searched; it is named in messages.
+        path: its file, above which meshes are searched.
         packages: folders of meshes by package name.
     """
     from geomid_ros.files.shapes import MeshFinder  # noqa: PLC0415 it takes as long as all other imports
@@ -73,7 +74,7 @@ def mjcf_shapes(urdf: str, path: Path, packages: Mapping[str, Path] = MappingPro
                     if mesh is not None:
                         geom.set("mesh", _asset(shapes, meshes, mesh, where, find))
                 except InputError as error:
-                    shapes.missing.append(str(error))
+                    shapes.missing.setdefault(str(error).removeprefix(f"{where}: "), []).append(name)
                 else:
                     shapes.geoms.setdefault(name, []).append(geom)
     return shapes
@@ -108,7 +109,7 @@ def _asset(
     """Name of a mesh among the assets, to which it is added once."""
     path, scale = find(mesh.get("filename", ""), where), mesh.get("scale", "1 1 1")
     if path.suffix.lower() not in _READ_BY_MUJOCO:
-        raise InputError(f"{where}: MuJoCo reads no {path.suffix} ({path.name})")
+        raise InputError(f"{where}: MuJoCo reads no {path.suffix}")
     key = str(path.resolve()), scale
     if key not in meshes:
         meshes[key] = f"{path.stem}_{len(meshes)}"
