@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 from files.recordings import BAGS
+from monitoring.test_payload_watch import AFTER, BEFORE, NOISE, RATE, Arm
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
@@ -21,11 +22,13 @@ from geomid_ros.live import worker as module
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import Worker
+from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import Decoder
+from geomid_ros.types import IntArray
 
 from .stage import NO_CHOICE, messages
 from .waiting import PATIENCE, final_estimate, wait_until
@@ -87,11 +90,13 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
     """Nor those near a reversal: dry friction may be anything there. Those of fast joints do."""
     judged: dict[int, Any] = {}
     speeds: dict[int, Any] = {}
-    monkeypatch.setattr(
-        quiet.worker.solver.detector,
-        "add",
-        lambda _, stamps, rows: judged.update(zip(stamps.tolist(), rows.targets, strict=True)),
-    )
+    add = quiet.worker.solver.detector.add
+
+    def note(first: int, stamps: IntArray, rows: Rows) -> bool:
+        judged.update(zip(stamps.tolist(), rows.targets, strict=True))
+        return add(first, stamps, rows)
+
+    monkeypatch.setattr(quiet.worker.solver.detector, "add", note)
     monkeypatch.setattr(
         quiet.session.review.check,
         "add",
@@ -99,12 +104,32 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
     )
     quiet.feed()
     assert isinstance(quiet.final(), Estimate)
-    targets = np.array([judged[stamp] for stamp in sorted(judged)])
-    speed = np.array([speeds[stamp] for stamp in sorted(judged)])
+    common = sorted(judged.keys() & speeds.keys())
+    targets = np.array([judged[stamp] for stamp in common])
+    speed = np.array([speeds[stamp] for stamp in common])
     slow, fast = speed < 0.005, speed > 0.8 * np.max(speed, axis=0)
     assert np.sum(slow) > 3
     assert np.all(np.isnan(targets[slow]))
     assert np.mean(np.isfinite(targets[fast])) > 0.9
+
+
+@pytest.mark.parametrize("forgetting_time", [0.0, 5.0])
+def test_what_is_carried_is_neither_learned_nor_judged(forgetting_time: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even what came before it was noticed. What was learned is not forgotten meanwhile."""
+    arm, checked = Arm(), list[int]()
+    measured = arm.measured(arm.loaded)
+    with closing(Watched(NEVER, forgetting_time=forgetting_time)) as watched:
+        monkeypatch.setattr(watched.session.review.check, "add", lambda part: checked.extend(part.stamps.tolist()))
+        for begin in range(0, len(measured), 10):
+            watched.worker._add(measured.select(np.arange(begin, begin + 10)), np.zeros(10))
+        found, status = watched.final(), watched.worker.status(active=True)
+    assert isinstance(found, Estimate)
+    assert found.sigmas == pytest.approx(NOISE, rel=0.2)
+    left_out = status.rows_rejected["payload carried"] / len(watched.session.model.channels)
+    assert (AFTER - BEFORE) * RATE < left_out < (AFTER - BEFORE + 4.0) * RATE
+    times = 1e-9 * np.array(checked)
+    assert np.min(times) < BEFORE < AFTER < np.max(times)
+    assert not np.any((times > BEFORE) & (times < AFTER))
 
 
 def test_an_implausible_mass_is_told() -> None:
