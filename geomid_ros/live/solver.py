@@ -158,6 +158,7 @@ class Solver:
     def begin_anew(self) -> None:
         """Discard what was learned, or is being solved, from rows some of which were taken back."""
         with self._lock:
+            self._session.carried = None
             self.detector = self._new_detector()
             self.changed_sensors = ()
             self.estimate = None
@@ -184,11 +185,14 @@ class Solver:
 
     def _new_detector(self) -> ChangeDetector:
         """Return a detector that sees one instance of each effect only, of candidates that of the middle of their grid.
-        All instances together would fit the change, and take long to learn."""
+        All instances together would fit the change, and take long to learn. It goes on with what is carried."""
         model = self._session.model
         columns = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
         channels = [replace(c, columns=np.intersect1d(c.columns, columns)) for c in model.channels]
         payload = payload_watch(self._session, channels, ALARM)
+        if payload is not None and self._session.carried is not None:
+            with self._failures.counted("what is carried could not be restored"):
+                payload.restore(self._session.carried)
         return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time, payload)
 
     def _solve_repeatedly(self) -> None:
@@ -274,6 +278,7 @@ class Solver:
     def _leave_out_carried(self, detector: ChangeDetector) -> list[Samples]:
         """Leave out the rows with a payload, and return the unchecked samples that are known to be without."""
         identifier, known, judged = self._session.identifier, detector.weighed_before, detector.searched_until
+        self._session.carried = None if detector.payload is None else detector.payload.memory
         if self.payload is not None:
             if identifier.leave_out(_CARRIED, range(len(self._session.model.channels)), known):
                 self._solved_rows = 0  # the estimate may have learned from them

@@ -151,10 +151,10 @@ class ChangeDetector:
     @property
     def weighed_before(self) -> int:
         """Index of the sample before which it is known that no payload was carried since the last one was put down."""
-        if self.payload is None or not any(channel.ready for channel in self._channels):
-            return self.searched_until  # so far none would have been noticed
-        carried = self.payload.payload
-        return (self.searched_until - REMEMBERED * PART if carried is None else carried.first_sample) - LATE
+        if self.payload is not None and self.payload.payload is not None:
+            return self.payload.payload.first_sample - LATE
+        noticed = self.payload is not None and any(channel.ready for channel in self._channels)
+        return self.searched_until - (REMEMBERED * PART + LATE) * noticed
 
     def unchanged_before(self, channels: Sequence[int]) -> int:
         """Return the index of the sample before which these channels are known to be unchanged, without a payload.
