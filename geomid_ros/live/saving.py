@@ -124,7 +124,7 @@ class Checkpoints:
             while not self._ending.wait(max(self._period - self._seconds, _SHORTEST_PAUSE * self._period)):
                 if self._has_new_rows:
                     self._write(folder)
-            if self._has_new_rows or self._session.pipeline.ledger.topics:
+            if self._has_new_rows or (self._rows and self._session.pipeline.ledger.topics):
                 self._write(folder)
 
     @property

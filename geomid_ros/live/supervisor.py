@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -10,6 +11,7 @@ from geomid_ros.checks.recording_check import CheckTask
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
+from geomid_ros.files.checkpoints import last_meaning
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.live.saving import HANDOVER, Checkpoints, Saving
 from geomid_ros.live.solving_process import SolvingProcess
@@ -80,17 +82,18 @@ class Supervisor:
         """Warning that the solving process ended; empty if it did not."""
         return self._solving.warning if self._solving else ""
 
-    def build(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> None:
+    def build(self, urdf: str, source: str, absent: tuple[str, ...] | None = None) -> None:
         """Begin to identify the robot of a description.
 
         Args:
             urdf: the robot description.
             source: its origin, for messages.
-            absent: joints to lock, as nobody publishes them.
+            absent: joints to lock, as nobody publishes them; None for those of the checkpoint.
 
         Raises:
             InputError: the description does not fit the parameters.
         """
+        absent = self._absent_before(urdf, source) if absent is None else absent
         session = self.new_session(urdf, source, absent)
         if self._solving:
             session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
@@ -110,6 +113,18 @@ class Supervisor:
     def new_session(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> Session:
         """Return a session without rows. Arguments and errors as of :meth:`build`."""
         return Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
+
+    def _absent_before(self, urdf: str, source: str) -> tuple[str, ...]:
+        """Joints that were locked when the last checkpoint was written, as nobody published them."""
+        folder = self._configuration["checkpoint.folder"]
+        meaning = last_meaning(Path(folder).resolve()) if folder else {}
+        with suppress(InputError, TypeError):  # it may be of another robot or configuration, or crafted
+            absent = tuple(
+                joint for joint in meaning.get("locked_joints", ()) if joint not in self._configuration["locked_joints"]
+            )
+            if absent and self.new_session(urdf, source, absent).meaning == meaning:
+                return absent
+        return ()
 
     def _with_locked(self, absent: tuple[str, ...]) -> Configuration:
         return with_locked(self._configuration, absent) if absent else self._configuration
