@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Future, wait
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from geomid_ros.checks.recording_check import CheckTask
 from geomid_ros.errors import InputError
@@ -13,7 +14,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.files.checkpoints import last_meaning
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.live.saving import HANDOVER, Checkpoints, Saving
+from geomid_ros.live.saving import HANDOVER, SLOW, Checkpoints, SaveOutcome, Saving
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import PATIENCE, Worker
@@ -25,6 +26,8 @@ from geomid_ros.signals.ledger import Ledger
 MOST_RESTARTS = 3  # of the intake, as a replaced thread cannot be ended
 HANGING = 120.0  # [s] longer than any task on a busy machine, the first solve of a humanoid included
 _PUBLISHERS_START = 3.0  # [s] within which messages of all published joints arrive
+
+_Saved: TypeAlias = dict[Estimate, Future[SaveOutcome]]  # outcome of each estimate that was saved at the end
 
 
 class Log(Protocol):
@@ -204,22 +207,30 @@ class Supervisor:
         solve may take too long, and again if the solver made a newer one."""
         if self.worker is None:
             return
-        end = time.monotonic() + PATIENCE
-        saved = self._save_last(self.worker, None, end)
-        self.worker.close(max(0.0, end - time.monotonic()))
-        self._save_last(self.worker, saved, end)
+        begin = time.monotonic()
+        saved = self._save_last(self.worker, {}, begin)
+        self.worker.close(max(0.0, begin + PATIENCE - time.monotonic()))
+        saved = self._save_last(self.worker, saved, begin)
         if self.checkpoints is not None:
             self.checkpoints.close()
+        for outcome in saved.values():  # late, as saving goes on meanwhile
+            self._report_saved(outcome, begin)
         self.worker = self.checkpoints = None
         self._restarts, self._hung, self._hanging = 0, "", ()
 
-    def _save_last(self, worker: Worker, saved: Estimate | None, end: float) -> Estimate | None:
-        """Save the last estimate, unless it is ``saved`` already, until ``end`` [s]. Return the last estimate."""
+    def _save_last(self, worker: Worker, saved: _Saved, begin: float) -> _Saved:
+        """Save the last estimate, unless that began already; wait until :data:`PATIENCE` after ``begin`` [s]."""
         estimate = worker.estimate
-        if self._configuration["output_folder"] and estimate is not None and estimate is not saved:
-            saved_now, sentence = self.saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic()))
-            if saved_now:
-                self._log.info(sentence)
-            else:
-                self._log.error(f"the last estimate is not saved: {sentence}")
-        return estimate
+        if self._configuration["output_folder"] and estimate is not None and estimate not in saved:
+            saved = {**saved, estimate: self.saving.save_last(worker.session, estimate)}
+            wait(saved.values(), max(0.0, begin + PATIENCE - time.monotonic()))
+        return saved
+
+    def _report_saved(self, outcome: Future[SaveOutcome], begin: float) -> None:
+        """Log what became of an estimate."""
+        if not outcome.done():
+            self._log.error(f"the last estimate may not be saved: {SLOW} after {time.monotonic() - begin:.1f} s")
+        elif outcome.result()[0]:
+            self._log.info(outcome.result()[1])
+        else:
+            self._log.error(f"the last estimate is not saved: {outcome.result()[1]}")
