@@ -21,6 +21,7 @@ from geomid_ros.live.worker import PATIENCE, Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import locked_note, with_locked
 from geomid_ros.session.session import Session
+from geomid_ros.signals.kernels import check_cutoff
 from geomid_ros.signals.ledger import Ledger
 
 MOST_RESTARTS = 3  # of the intake, as a replaced thread cannot be ended
@@ -72,6 +73,7 @@ class Supervisor:
         self._solves = 0  # of the worker, when it hung
         self._absent: tuple[str, ...] = ()  # joints that are locked, as nobody publishes them
         self._agreed = 0.0  # time [s] at which ``_absent`` last matched the messages
+        self._period = 0.0  # of the time grid of earlier workers [s]; 0 while it is unknown
         self.checkpoints: Checkpoints | None = None  # of the present worker, if any are kept
         self.worker: Worker | None = None  # present worker
 
@@ -103,6 +105,7 @@ class Supervisor:
             session.review.judge_with(self._solving.remote(CheckTask.judge))
         if self.worker is not None:
             self.worker.close()
+            self._period = self._latest_period
             self._listener.on_payload(None)
         self._restore(session)
         self.worker = Worker(session, self._configuration["solve_period"], self._listener, self.failures)
@@ -138,9 +141,15 @@ class Supervisor:
         Raises:
             InputError: the configuration does not fit.
         """
+        if rebuild and self._latest_period and not configuration["filter.period"]:
+            check_cutoff(configuration["filter.cutoff"], self._latest_period)
         self._configuration = configuration
         if self.worker is not None and not rebuild:
             self.worker.solver.reconfigure(self._with_locked(self._absent))
+
+    @property
+    def _latest_period(self) -> float:
+        return (self.worker.session.pipeline.period if self.worker is not None else 0.0) or self._period
 
     def _restore(self, session: Session) -> None:
         """If a checkpoint folder is configured, resume the session from its checkpoint and write new ones."""
@@ -215,6 +224,7 @@ class Supervisor:
             self.checkpoints.close()
         for outcome in saved.values():  # late, as saving goes on meanwhile
             self._report_saved(outcome, begin)
+        self._period = self._latest_period
         self.worker = self.checkpoints = None
         self._restarts, self._hung, self._hanging = 0, "", ()
 
