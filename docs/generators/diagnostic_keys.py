@@ -39,8 +39,8 @@ _MEANINGS = {
         "solves": "number of estimates so far",
         "rows": "rows used by the estimate, one for each measured channel and instant",
         "rows made": "rows of all channels at all instants: used and rejected",
-        "rows rejected: REASON": "rows not used: `standing still`, `not measured`, `wrench doubtful: TOPIC` or "
-        "`wrench changed: TOPIC`; the last two may remove earlier rows",
+        "rows rejected: REASON": "rows not used: `standing still`, `not measured`, `payload carried`, "
+        "`wrench doubtful: TOPIC` or `wrench changed: TOPIC`; the last three may remove earlier rows",
         "TOPIC received": "processed messages: accepted + rejected + dropped",
         "TOPIC accepted": "messages used",
         "TOPIC rejected: REASON": "messages rejected for their content",

@@ -141,16 +141,12 @@ class Identifier:
         with self._lock:
             self._begin_anew()
 
-    def add(
-        self, samples: Samples, absent_columns: slice = slice(0), payload_parameters: FloatArray | None = None
-    ) -> tuple[IntArray, Rows, BoolArray]:
+    def add(self, samples: Samples, absent_columns: slice = slice(0)) -> tuple[IntArray, Rows, BoolArray]:
         """Add samples, in the order of time.
 
         Args:
             samples: the samples.
             absent_columns: parameters of a body that the robot did not carry then.
-            payload_parameters: parameters ``(D,)`` of an additional payload. Its part is subtracted from the targets
-                that are learned from, but not from those returned.
 
         Returns:
             Stamps ``(N,)`` and rows of the samples that are not standing still; and ``(N, channels)``, true for efforts
@@ -163,7 +159,6 @@ class Identifier:
             motion_regimes[:, self.model.layout.efforts] = regimes(samples)
         is_measured = usable(rows.coefficients, rows.targets)
         counts, targets = np.count_nonzero(is_measured, axis=1), np.where(is_measured, rows.targets, np.nan)
-        targets -= 0.0 if payload_parameters is None else rows.coefficients @ payload_parameters
         speeds = np.max(np.abs(np.concatenate([samples.velocity, samples.base_velocity], axis=1)), axis=1)
         poses = np.concatenate([samples.position, samples.base_pose], axis=1)
         with self._lock:
@@ -321,8 +316,9 @@ class Identifier:
 
 
 def _with(summary: RowSummary, instants: Sequence[BufferedSample]) -> RowSummary:
-    """Add samples to the summary, and return it."""
-    for begin in range(0, len(instants), SAMPLES_PER_PIECE):
-        rows = (instant.rows for instant in instants[begin : begin + SAMPLES_PER_PIECE])
+    """Add samples with rows to the summary, and return it. Earlier rows do not age by the others."""
+    with_rows = [instant for instant in instants if np.any(np.isfinite(instant.targets))]
+    for begin in range(0, len(with_rows), SAMPLES_PER_PIECE):
+        rows = (instant.rows for instant in with_rows[begin : begin + SAMPLES_PER_PIECE])
         summary.add(*map(np.array, zip(*rows, strict=True)))
     return summary

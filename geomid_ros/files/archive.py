@@ -16,7 +16,7 @@ import hashlib
 import json
 import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar
 
@@ -77,12 +77,25 @@ def _require_meaning(actual: Any, expected: Mapping[str, Any]) -> None:
     """Refuse rows with another meaning."""
     if not isinstance(actual, dict):
         raise InputError("does not say what its rows mean")
-    different = [name for name in {**expected, **actual} if actual.get(name) != expected.get(name)]
-    if "robot_description" in different:
+    if actual.get("robot_description") != expected.get("robot_description"):
         raise InputError("of another robot: the robot description differs")
-    if different:
-        differences = [f"{name} is {actual.get(name)!r:.80}, here {expected.get(name)!r:.80}" for name in different]
+    if differences := [*_differences(actual, expected)]:
         raise InputError(f"of another configuration: {'; '.join(differences)}")
+
+
+def _differences(actual: Any, expected: Any, name: str = "") -> Iterator[str]:
+    """Yield a text for each key whose values differ; of lists, it has the elements that only one has, if there are
+    any."""
+    if isinstance(actual, dict) and isinstance(expected, dict):
+        for key in {**expected, **actual}:
+            yield from _differences(actual.get(key), expected.get(key), f"{name}.{key}" if name else key)
+    elif actual != expected:
+        if isinstance(actual, list) and isinstance(expected, list):
+            own = [
+                [item for item in one if item not in other] for one, other in ((actual, expected), (expected, actual))
+            ]
+            actual, expected = own if any(own) else (actual, expected)
+        yield f"{name} is {actual!r:.80}, here {expected!r:.80}"
 
 
 def archived(document: Mapping[str, Any]) -> bytes:

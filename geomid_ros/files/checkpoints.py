@@ -16,13 +16,15 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
-from geomid_ros.files.archive import MOST_HEADER, decoded, encoded
+from geomid_ros.files.archive import MOST_HEADER, decoded, encoded, unarchived
 from geomid_ros.files.disk import FOR_OWNER, make_folder, read_bytes, write_bytes
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import REGIMES
+from geomid_ros.monitoring.payload_watch import WatchMemory
 from geomid_ros.signals.ledger import Account
 
 _NAMES = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
@@ -42,6 +44,8 @@ class Checkpoint:
         warm: The last estimate.
         solving: Checksum of everything but the rows that the estimate depends on.
         number: Increases from checkpoint to checkpoint.
+        findings: Suspected faults of the recording that the rows are from.
+        carried: State of the payload watch if something is carried.
     """
 
     meaning: Mapping[str, Any]
@@ -50,6 +54,8 @@ class Checkpoint:
     warm: WarmStart | None = None
     solving: str = ""
     number: int = 0
+    findings: tuple[RecordingFault, ...] = ()
+    carried: WatchMemory | None = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,17 @@ class Restored:
 
     checkpoint: Checkpoint | None = None
     problems: tuple[str, ...] = ()
+
+
+def last_meaning(folder: Path) -> Mapping[str, Any]:
+    """Return the meaning of the newest readable checkpoint in a folder; empty if there is none."""
+    documents: list[dict[str, Any]] = [{}]
+    for name in _NAMES:
+        with suppress(InputError):
+            documents.append(unarchived(read_bytes(folder / name, "checkpoint")))
+    numbers = [number if isinstance(number := document.get("number"), int) else -1 for document in documents]
+    meaning = documents[numbers.index(max(numbers))].get("meaning")
+    return meaning if isinstance(meaning, dict) else {}
 
 
 class CheckpointFolder:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -124,7 +125,7 @@ class Checkpoints:
             while not self._ending.wait(max(self._period - self._seconds, _SHORTEST_PAUSE * self._period)):
                 if self._has_new_rows:
                     self._write(folder)
-            if self._has_new_rows or self._session.pipeline.ledger.topics:
+            if self._has_new_rows or (self._rows and self._session.pipeline.ledger.topics):
                 self._write(folder)
 
     @property
@@ -231,11 +232,11 @@ class Saving:
         start_later(_LATE, save_last)
         start_later(_LATEST, give_up)
 
-    def save_last(self, session: Session, estimate: Estimate, patience: float) -> SaveOutcome:
-        """Save, unless that takes longer than ``patience`` [s]."""
-        answers: list[SaveOutcome] = []
-        start_daemon("saving", lambda: answers.append(self._save(session, estimate))).join(patience)
-        return answers[0] if answers else (False, f"{SLOW} after {patience:.1f} s")
+    def save_last(self, session: Session, estimate: Estimate) -> Future[SaveOutcome]:
+        """Save in a thread, without the remainder."""
+        outcome: Future[SaveOutcome] = Future()
+        start_daemon("saving", lambda: outcome.set_result(self._save(session, estimate)))
+        return outcome
 
     def _save(self, session: Session, result: Estimate | GeomidError) -> SaveOutcome:
         if isinstance(result, GeomidError):

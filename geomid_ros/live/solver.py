@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import takewhile
 from typing import TypeAlias
 
 import numpy as np
@@ -18,8 +19,10 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.threads import Activity, start_daemon
+from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import (
     ALARM,
+    PART,
     ChangeDetector,
     changed_sensors,
     robot_may_have_changed,
@@ -29,6 +32,8 @@ from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import payload_watch
 from geomid_ros.session.session import Session
+from geomid_ros.signals.settings import MOST_WAITING
+from geomid_ros.types import IntArray
 
 NEW_SHARE = 1.0 / 11.0
 """Fraction of the remembered data that must be new for a solve: the data have then grown by a tenth, and standard
@@ -60,6 +65,7 @@ class Pace:
 
 SOLVING, WATCHING = "solving", "searching for changes"
 _FAILURE = "the solver failed"
+_CARRIED = "payload carried"  # why rows are left out
 _EARLIER = 64  # estimates kept: those made until a gap is detected, over most of a minute or more
 _CHOSEN_ANEW = 0.5  # new fraction of the data at which effects and the prior's weight are selected again
 
@@ -70,8 +76,9 @@ class Solver:
     """Solves in a thread: when enough data are new (:class:`Pace`), and on request. With a finite forgetting time,
     changes are to be followed, so it solves in every period.
 
-    Estimates that are not finite are discarded, and one that did not converge does not replace one that did. The rows
-    of a mounted wrench sensor are left out while the sensor is changed, unless old rows are forgotten anyway.
+    Estimates that are not finite are discarded, and one that did not converge does not replace one that did. Rows are
+    left out while a payload is carried, and from the check of the recording, too. The rows of a mounted wrench sensor
+    are left out while the sensor is changed, unless old rows are forgotten anyway.
     """
 
     def __init__(self, session: Session, period: float, listener: Listener, failures: Failures) -> None:
@@ -96,6 +103,7 @@ class Solver:
         self._epoch = 0  # results of earlier epochs are discarded
         self.solves = 0  # number of estimates so far
         self._solved_rows = 0
+        self._unchecked: deque[tuple[int, Samples]] = deque(maxlen=MOST_WAITING)  # with the numbers of the next ones
         self._pace = Pace()
         self._closing = False
         self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the latest, with its epoch and rows
@@ -125,9 +133,17 @@ class Solver:
         if self._requests.empty():
             self._requests.put(self._watch)
 
+    def check_later(self, samples: Samples, ends: IntArray) -> None:
+        """Give samples to the check of the recording, once it is known that nothing was carried. ``ends (N,)``: the
+        number of samples with rows up to each."""
+        pieces = [range(len(samples))[begin : begin + PART] for begin in range(0, len(samples), PART)]
+        with self._lock:
+            self._unchecked += [(int(ends[piece[-1]]), samples.select(np.array(piece))) for piece in pieces]
+
     def reset(self) -> None:
         """Discard all rows and what was learned from them."""
         with self._lock:
+            self._unchecked.clear()
             self._session.identifier.reset()
             self.begin_anew()
 
@@ -142,6 +158,7 @@ class Solver:
     def begin_anew(self) -> None:
         """Discard what was learned, or is being solved, from rows some of which were taken back."""
         with self._lock:
+            self._session.carried = None
             self.detector = self._new_detector()
             self.changed_sensors = ()
             self.estimate = None
@@ -168,11 +185,14 @@ class Solver:
 
     def _new_detector(self) -> ChangeDetector:
         """Return a detector that sees one instance of each effect only, of candidates that of the middle of their grid.
-        All instances together would fit the change, and take long to learn."""
+        All instances together would fit the change, and take long to learn. It goes on with what is carried."""
         model = self._session.model
         columns = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
         channels = [replace(c, columns=np.intersect1d(c.columns, columns)) for c in model.channels]
         payload = payload_watch(self._session, channels, ALARM)
+        if payload is not None and self._session.carried is not None:
+            with self._failures.counted("what is carried could not be restored"):
+                payload.restore(self._session.carried)
         return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time, payload)
 
     def _solve_repeatedly(self) -> None:
@@ -232,31 +252,56 @@ class Solver:
         detector = self.detector
         with self._failures.counted(_FAILURE):
             while detector.test():
-                self._leave_out_changed_sensors(detector)
+                self._judge_rows(detector)
+            self._judge_rows(detector)
             if detector is self.detector and (carried := self.payload) is not self._reported:
                 self._reported = carried
                 self._listener.on_payload(carried)
 
-    def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
-        """Leave out the rows of changed sensors; accept for good the rows of sensors that are sound."""
-        if self._forgets or not self._sensors:
-            return
-        changed, identifier = changed_sensors(detector.gaps, self._session.model), self._session.identifier
+    def _judge_rows(self, detector: ChangeDetector) -> None:
+        """Leave out what the detector found to be changed, and accept for good what is sound."""
+        suspect: list[int] = []
         with self._lock:
             if detector is not self.detector:  # it was reset meanwhile
                 return
-            self.changed_sensors = tuple(changed or ())
-            for topic, channels in self._sensors.items():
-                reason = f"wrench changed: {topic}"
-                if changed is None:  # the robot may have changed, not a sensor
-                    identifier.restore_rows(reason, 0)
-                elif topic not in changed:
-                    identifier.restore_rows(reason, detector.searched_until)
-                elif identifier.leave_out(reason, channels, changed[topic]):
-                    self._solve_afresh()
-        robot_changed = robot_may_have_changed(detector.gaps, self._session.model)
-        suspect = [] if robot_changed else [place for places in self._sensors.values() for place in places]
-        identifier.settle(detector.unchanged_before(suspect))
+            if not self._forgets and self._sensors:
+                self._leave_out_changed_sensors(detector)
+                robot_changed = robot_may_have_changed(detector.gaps, self._session.model)
+                suspect = [] if robot_changed else [place for places in self._sensors.values() for place in places]
+            samples = self._leave_out_carried(detector)
+            check = self._session.review.check
+        self._session.identifier.settle(detector.unchanged_before(suspect))
+        if samples:
+            with self._failures.counted("a check of the recording failed"):
+                check.add(Samples.concatenate(samples))
+
+    def _leave_out_carried(self, detector: ChangeDetector) -> list[Samples]:
+        """Leave out the rows with a payload, and return the unchecked samples that are known to be without."""
+        identifier, known, judged = self._session.identifier, detector.weighed_before, detector.searched_until
+        self._session.carried = None if detector.payload is None else detector.payload.memory
+        if self.payload is not None:
+            if identifier.leave_out(_CARRIED, range(len(self._session.model.channels)), known):
+                self._solved_rows = 0  # the estimate may have learned from them
+        elif identifier.restore_rows(_CARRIED, judged):
+            known = 0  # the payload was just put down: all that waits may be with it
+        else:
+            judged = known
+        unchecked = self._unchecked
+        taken = [unchecked.popleft() for _ in takewhile(lambda item: item[0] <= judged, tuple(unchecked))]
+        return [samples for end, samples in taken if end <= known]
+
+    def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
+        """Leave out the rows of changed sensors."""
+        changed, identifier = changed_sensors(detector.gaps, self._session.model), self._session.identifier
+        self.changed_sensors = tuple(changed or ())
+        for topic, channels in self._sensors.items():
+            reason = f"wrench changed: {topic}"
+            if changed is None:  # the robot may have changed, not a sensor
+                identifier.restore_rows(reason, 0)
+            elif topic not in changed:
+                identifier.restore_rows(reason, detector.searched_until)
+            elif identifier.leave_out(reason, channels, changed[topic]):
+                self._solve_afresh()
 
     def _warm_start(self) -> WarmStart | None:
         """Return the starting point of the next solve; None before the first, and after a failed one. If much is new,

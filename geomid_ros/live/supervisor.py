@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Future, wait
+from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from geomid_ros.checks.recording_check import CheckTask
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
+from geomid_ros.files.checkpoints import last_meaning
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.live.saving import HANDOVER, Checkpoints, Saving
+from geomid_ros.live.saving import HANDOVER, SLOW, Checkpoints, SaveOutcome, Saving
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import PATIENCE, Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import locked_note, with_locked
 from geomid_ros.session.session import Session
+from geomid_ros.signals.kernels import check_cutoff
 from geomid_ros.signals.ledger import Ledger
 
 MOST_RESTARTS = 3  # of the intake, as a replaced thread cannot be ended
 HANGING = 120.0  # [s] longer than any task on a busy machine, the first solve of a humanoid included
 _PUBLISHERS_START = 3.0  # [s] within which messages of all published joints arrive
+
+_Saved: TypeAlias = dict[Estimate, Future[SaveOutcome]]  # outcome of each estimate that was saved at the end
 
 
 class Log(Protocol):
@@ -67,6 +73,7 @@ class Supervisor:
         self._solves = 0  # of the worker, when it hung
         self._absent: tuple[str, ...] = ()  # joints that are locked, as nobody publishes them
         self._agreed = 0.0  # time [s] at which ``_absent`` last matched the messages
+        self._period = 0.0  # of the time grid of earlier workers [s]; 0 while it is unknown
         self.checkpoints: Checkpoints | None = None  # of the present worker, if any are kept
         self.worker: Worker | None = None  # present worker
 
@@ -80,23 +87,25 @@ class Supervisor:
         """Warning that the solving process ended; empty if it did not."""
         return self._solving.warning if self._solving else ""
 
-    def build(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> None:
+    def build(self, urdf: str, source: str, absent: tuple[str, ...] | None = None) -> None:
         """Begin to identify the robot of a description.
 
         Args:
             urdf: the robot description.
             source: its origin, for messages.
-            absent: joints to lock, as nobody publishes them.
+            absent: joints to lock, as nobody publishes them; None for those of the checkpoint.
 
         Raises:
             InputError: the description does not fit the parameters.
         """
+        absent = self._absent_before(urdf, source) if absent is None else absent
         session = self.new_session(urdf, source, absent)
         if self._solving:
             session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
             session.review.judge_with(self._solving.remote(CheckTask.judge))
         if self.worker is not None:
             self.worker.close()
+            self._period = self._latest_period
             self._listener.on_payload(None)
         self._restore(session)
         self.worker = Worker(session, self._configuration["solve_period"], self._listener, self.failures)
@@ -111,6 +120,18 @@ class Supervisor:
         """Return a session without rows. Arguments and errors as of :meth:`build`."""
         return Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
 
+    def _absent_before(self, urdf: str, source: str) -> tuple[str, ...]:
+        """Joints that were locked when the last checkpoint was written, as nobody published them."""
+        folder = self._configuration["checkpoint.folder"]
+        meaning = last_meaning(Path(folder).resolve()) if folder else {}
+        with suppress(InputError, TypeError):  # it may be of another robot or configuration, or crafted
+            absent = tuple(
+                joint for joint in meaning.get("locked_joints", ()) if joint not in self._configuration["locked_joints"]
+            )
+            if absent and self.new_session(urdf, source, absent).meaning == meaning:
+                return absent
+        return ()
+
     def _with_locked(self, absent: tuple[str, ...]) -> Configuration:
         return with_locked(self._configuration, absent) if absent else self._configuration
 
@@ -120,9 +141,15 @@ class Supervisor:
         Raises:
             InputError: the configuration does not fit.
         """
+        if rebuild and self._latest_period and not configuration["filter.period"]:
+            check_cutoff(configuration["filter.cutoff"], self._latest_period)
         self._configuration = configuration
         if self.worker is not None and not rebuild:
             self.worker.solver.reconfigure(self._with_locked(self._absent))
+
+    @property
+    def _latest_period(self) -> float:
+        return (self.worker.session.pipeline.period if self.worker is not None else 0.0) or self._period
 
     def _restore(self, session: Session) -> None:
         """If a checkpoint folder is configured, resume the session from its checkpoint and write new ones."""
@@ -189,22 +216,31 @@ class Supervisor:
         solve may take too long, and again if the solver made a newer one."""
         if self.worker is None:
             return
-        end = time.monotonic() + PATIENCE
-        saved = self._save_last(self.worker, None, end)
-        self.worker.close(max(0.0, end - time.monotonic()))
-        self._save_last(self.worker, saved, end)
+        begin = time.monotonic()
+        saved = self._save_last(self.worker, {}, begin)
+        self.worker.close(max(0.0, begin + PATIENCE - time.monotonic()))
+        saved = self._save_last(self.worker, saved, begin)
         if self.checkpoints is not None:
             self.checkpoints.close()
+        for outcome in saved.values():  # late, as saving goes on meanwhile
+            self._report_saved(outcome, begin)
+        self._period = self._latest_period
         self.worker = self.checkpoints = None
         self._restarts, self._hung, self._hanging = 0, "", ()
 
-    def _save_last(self, worker: Worker, saved: Estimate | None, end: float) -> Estimate | None:
-        """Save the last estimate, unless it is ``saved`` already, until ``end`` [s]. Return the last estimate."""
+    def _save_last(self, worker: Worker, saved: _Saved, begin: float) -> _Saved:
+        """Save the last estimate, unless that began already; wait until :data:`PATIENCE` after ``begin`` [s]."""
         estimate = worker.estimate
-        if self._configuration["output_folder"] and estimate is not None and estimate is not saved:
-            saved_now, sentence = self.saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic()))
-            if saved_now:
-                self._log.info(sentence)
-            else:
-                self._log.error(f"the last estimate is not saved: {sentence}")
-        return estimate
+        if self._configuration["output_folder"] and estimate is not None and estimate not in saved:
+            saved = {**saved, estimate: self.saving.save_last(worker.session, estimate)}
+            wait(saved.values(), max(0.0, begin + PATIENCE - time.monotonic()))
+        return saved
+
+    def _report_saved(self, outcome: Future[SaveOutcome], begin: float) -> None:
+        """Log what became of an estimate."""
+        if not outcome.done():
+            self._log.error(f"the last estimate may not be saved: {SLOW} after {time.monotonic() - begin:.1f} s")
+        elif outcome.result()[0]:
+            self._log.info(outcome.result()[1])
+        else:
+            self._log.error(f"the last estimate is not saved: {outcome.result()[1]}")

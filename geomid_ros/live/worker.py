@@ -19,7 +19,6 @@ from geomid_ros.live.status import Failures, Listener, Status
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
-from geomid_ros.monitoring.change_detection import PART
 from geomid_ros.monitoring.payload_watch import with_payload
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import WrenchGuard
@@ -53,10 +52,12 @@ class Worker:
         self._rows_lost: Counter[str] = Counter()  # replaced, never modified
         self._lock = threading.Lock()  # held briefly, for the next field
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
-        self._wrenches = WrenchGuard(session)
-        self._unchecked: list[Samples] = []
+        self._wrenches = self._new_guard()
         self._inbox = Inbox()
         self._intake = start_daemon("intake", self._take_messages)
+
+    def _new_guard(self) -> WrenchGuard:
+        return WrenchGuard(self.session, watched=self.solver.detector.payload is not None)
 
     def close(self, patience: float | None = None) -> None:
         """Stop both threads. Waiting messages and a running solve are finished first, but for no longer than
@@ -189,7 +190,6 @@ class Worker:
             with self.activity.doing(task[0].topic):
                 self._take(task)
         else:
-            self._check()
             task()
 
     def _take(self, messages: list[Received]) -> None:
@@ -212,9 +212,8 @@ class Worker:
         """Add the rows of samples to the identifier. The messages that completed them were ``received (N,)`` [s]."""
         estimate, payload, identifier = self.solver.estimate, self.solver.payload, self.session.identifier
         before = identifier.counts.made
-        payload_parameters = None if payload is None else payload.added(np.zeros(self.session.model.dimension))
         try:
-            stamps, rows, uncertain = identifier.add(samples, payload_parameters=payload_parameters)
+            stamps, rows, uncertain = identifier.add(samples)
         except Exception as error:  # noqa: BLE001 the thread must survive
             lost = before + len(samples) * len(self.session.model.channels) - identifier.counts.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
@@ -222,32 +221,24 @@ class Worker:
             return
         with self._lock:
             self._receipt_to_row.extend((time.perf_counter() - received).tolist())
-        self._unchecked.append(samples)
-        if sum(map(len, self._unchecked)) >= PART:  # checking a few takes as long as checking many
-            self._check()
         if self._wrenches.take(rows):
             self.solver.begin_anew()
         settled = Rows(rows.coefficients, np.where(uncertain, np.nan, rows.targets))
         trusted = self._wrenches.without_doubtful(settled)
+        ends = identifier.sample_count - len(stamps) + np.cumsum(np.isin(samples.stamps, stamps))
+        self.solver.check_later(samples, ends)
         if self.solver.detector.add(identifier.sample_count - len(stamps), stamps, trusted):
             self.solver.request_change_search()
         if estimate is not None:
             with self.failures.counted("a prediction could not be published"):
                 self._listener.on_samples(self.session, samples, with_payload(estimate, payload))
 
-    def _check(self) -> None:
-        """Add the new samples to the checks of the whole recording."""
-        samples, self._unchecked = self._unchecked, []
-        if samples:
-            with self.failures.counted("a check of the recording failed"):  # a request waits for this
-                self.session.review.check.add(Samples.concatenate(samples))
-
     def _forget(self) -> None:
         self.session.recent.clear()
-        self.session.review.forget()
         self.solver.reset()
+        self.session.review.forget()
         self._rows_lost = Counter()
-        self._wrenches = WrenchGuard(self.session)
+        self._wrenches = self._new_guard()
 
 
 def _completion_times(times: Sequence[float], blocks: Sequence[Block], stamps: IntArray) -> FloatArray:

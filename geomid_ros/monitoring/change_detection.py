@@ -148,8 +148,16 @@ class ChangeDetector:
         carried = None if self.payload is None else self.payload.payload
         return changes if carried is None else [*changes, (carried.since, carried.first_sample)]
 
+    @property
+    def weighed_before(self) -> int:
+        """Index of the sample before which it is known that no payload was carried since the last one was put down."""
+        if self.payload is not None and self.payload.payload is not None:
+            return self.payload.payload.first_sample - LATE
+        noticed = self.payload is not None and any(channel.ready for channel in self._channels)
+        return self.searched_until - (REMEMBERED * PART + LATE) * noticed
+
     def unchanged_before(self, channels: Sequence[int]) -> int:
-        """Return the index of the sample before which these channels are known to be unchanged.
+        """Return the index of the sample before which these channels are known to be unchanged, without a payload.
 
         Later rows are untested, suspect, or in an open gap. An unconfirmed suspicion is forgotten after some blocks, so
         the index is never further back than that.
@@ -157,7 +165,7 @@ class ChangeDetector:
         suspect = [self._channels[index].first_suspect for index in channels]
         judged = self._block[0][0] if self._block else self.searched_until
         begin = min([judged, *(first for first in suspect if first is not None)])
-        return max(begin - LATE, judged - REMEMBERED * BLOCK)
+        return max(min(begin - LATE, self.weighed_before), judged - REMEMBERED * BLOCK)
 
 
 def _stacked(samples: Sequence[_Sample]) -> tuple[int, IntArray, Rows]:

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_products import usable
 from geomid_ros.estimation.estimate import Estimate, interval_of_positive
 from geomid_ros.estimation.tolerances import LARGEST_STEP, ROUNDING, ROUNDS, SETTLED
@@ -76,6 +77,35 @@ class CarriedPayload:
         result = parameters.copy()
         result[self.columns] += self.parameters
         return result
+
+
+@dataclass(frozen=True, eq=False)
+class WatchMemory:
+    """State of a :class:`PayloadWatch` while a payload is carried.
+
+    Attributes:
+        link, parameters, covariance, since: As of :class:`CarriedPayload`.
+        means, information: The robot's parameters without a payload and their information, by channel.
+        noise: ``(channels, 2)``, see :class:`ChannelNoise`.
+        products, rows, blocks: Sums since the payload is carried.
+    """
+
+    link: str
+    parameters: FloatArray
+    covariance: FloatArray
+    since: int
+    means: tuple[FloatArray, ...]
+    information: tuple[FloatArray, ...]
+    noise: FloatArray
+    products: tuple[FloatArray, ...]
+    rows: FloatArray
+    blocks: FloatArray
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of all arrays."""
+        arrays = (self.parameters, self.covariance, self.noise, self.rows, self.blocks)
+        return [array.shape for array in (*arrays, *self.means, *self.information, *self.products)]
 
 
 def with_payload(estimate: Estimate, carried: CarriedPayload | None) -> Estimate:
@@ -206,6 +236,41 @@ class PayloadWatch:
         self._share = 1.0  # weight that rows learned so far keep after newer rows without a payload
         self.payload: CarriedPayload | None = None
         """Present payload; None if there is none."""
+
+    @property
+    def memory(self) -> WatchMemory | None:
+        """State for :meth:`restore`; None if there is no payload."""
+        if self.payload is None or self._loaded is None:
+            return None
+        return WatchMemory(
+            link=self._link,
+            parameters=self.payload.parameters,
+            covariance=self.payload.covariance,
+            since=self.payload.since,
+            means=tuple(frozen(baseline.mean) for baseline in self._baselines),
+            information=tuple(frozen(baseline.information) for baseline in self._baselines),
+            noise=np.array(self._noise),
+            products=self._loaded.products,
+            rows=self._loaded.rows,
+            blocks=self._loaded.blocks,
+        )
+
+    def restore(self, memory: WatchMemory) -> None:
+        """Go on with the payload of another watch of the same channels, from sample 0 on; a payload of another link is
+        ignored. Raises InputError, and changes nothing, for a state that no such watch can have."""
+        if memory.link != self._link:
+            return
+        sizes, count = [len(baseline.mean) for baseline in self._baselines], len(self._baselines)
+        fixed: list[tuple[int, ...]] = [(SIZE,), (SIZE, SIZE), (count, 2), (count,), (count,)]
+        widths = [(size,) for size in sizes], [(size, size) for size in sizes], [(size + 1, size + 1) for size in sizes]
+        if memory.shapes != [*fixed, *widths[0], *widths[1], *widths[2]]:
+            raise InputError(f"the payload of '{self._link}' has arrays of other shapes than this model's")
+        body, covariance = frozen(ONE_BODY.point(memory.parameters).parameters), frozen(memory.covariance)
+        for baseline, mean, information in zip(self._baselines, memory.means, memory.information, strict=True):
+            baseline.mean, baseline.information = mean.copy(), information.copy()
+        self._noise = [ChannelNoise(*row) for row in memory.noise.tolist()]
+        self._loaded = _Block(memory.products, memory.rows, memory.blocks, 0, memory.since)
+        self.payload = CarriedPayload(self._link, self._columns, body, covariance, memory.since, 0)
 
     def update(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[ChannelNoise], retained: float) -> bool:
         """Take a block of rows. Return True if a payload was picked up or put down in it.

@@ -29,8 +29,9 @@ from geomid_ros.files.models.urdf import with_absolute_files, with_effects, with
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.model.alike_parts import AlikeParts, alike_parts, alike_sentences
 from geomid_ros.model.samples import Samples
+from geomid_ros.monitoring.payload_watch import WatchMemory
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.review import Review
+from geomid_ros.session.review import RecordingFacts, Review
 from geomid_ros.session.setup import Setup
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import Recent
@@ -69,6 +70,8 @@ class Session(Setup):
         self.identifier = Identifier(self.model, self._settings, configuration.buffer, self._identified_prior)
         self.warm_start: WarmStart | None = None
         """Start of the next solve: the last estimate."""
+        self.carried: WatchMemory | None = None
+        """State of the payload watch while something is carried."""
         self.recent = Recent(configuration["gap.memory"], lambda: self.identifier.sample_count)
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
         self.review = Review(self, self.pipeline.ledger)
@@ -132,11 +135,18 @@ class Session(Setup):
     def checkpoint(self) -> Checkpoint:
         """Make a checkpoint of everything that was learned so far."""
         return Checkpoint(
-            self.meaning, self.identifier.memory(), self.pipeline.ledger.topics, self.warm_start, self._solving
+            self.meaning,
+            self.identifier.memory(),
+            self.pipeline.ledger.topics,
+            self.warm_start,
+            self._solving,
+            findings=self.review.findings,
+            carried=self.carried,
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Resume from the rows of a checkpoint of the same meaning, and from its estimate if solved in the same way.
+        The findings on these rows stay.
 
         Raises:
             InputError: they do not fit; nothing is changed then.
@@ -146,6 +156,8 @@ class Session(Setup):
             raise InputError(f"an estimate of {warm.parameters.size} parameters, expected {self.model.dimension}")
         self.identifier.restore(checkpoint.memory)
         self.warm_start = warm if checkpoint.solving == self._solving else None
+        self.review.read_elsewhere(RecordingFacts(findings=checkpoint.findings))
+        self.carried = checkpoint.carried
 
     @property
     def _solving(self) -> str:

@@ -141,9 +141,10 @@ def _no_ground_forces(robot: Robot, legs: Legs, standing: Samples) -> str:
 class WrenchGuard:
     """Checks the mounted sensors of a session once, by the first rows that its identifier took."""
 
-    def __init__(self, session: Session) -> None:
-        """Begin with the next rows."""
+    def __init__(self, session: Session, watched: bool = False) -> None:
+        """Begin with the next rows. ``watched``: rows may be left out because of a payload, too."""
         self._session = session
+        self._watched = watched
         self._sensors = sensor_channels(session.model)
         self._check = FirstForces(session.model, session.model.nominal_parameters)
         self._keep_revocable()
@@ -177,9 +178,9 @@ class WrenchGuard:
         return Rows(rows.coefficients, targets)
 
     def _keep_revocable(self) -> None:
-        """Keep rows revocable while their sensors may still prove to be faulty."""
+        """Keep rows revocable while their sensors may still prove to be faulty, or a payload to have been carried."""
         model = self._session.model
         forgets = np.isfinite(self._session.configuration.buffer.forgetting_time)
         bytes_per_sample = 8 * (model.dimension + 1) * len(model.channels)
-        revocable = model.mounted and not (forgets and self._check.ended)
+        revocable = self._watched or (model.mounted and not (forgets and self._check.ended))
         self._session.identifier.buffer_last(MOST_WAITING_BYTES // bytes_per_sample if revocable else 0)

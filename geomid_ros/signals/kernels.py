@@ -28,6 +28,16 @@ def highest_cutoff(period: float) -> float:
     return 1.0 / (LOWEST_RATE_PER_CUTOFF * period)
 
 
+def check_cutoff(cutoff: float, period: float) -> None:
+    """Raise InputError if a cutoff [Hz] is too high for a grid of a ``period`` [s]."""
+    if cutoff > highest_cutoff(period) * (1.0 + _UNSURE):
+        clock = "; or stamps are not in seconds" if period > 1.0 else ""
+        raise InputError(
+            f"a cutoff of {cutoff:g} Hz is too high for data at {1 / period:.3g} Hz: set the parameter filter.cutoff "
+            f"(--cutoff) to {highest_cutoff(period):.3g} or less{clock}"
+        )
+
+
 def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     """Return kernels for the filtered value and its first and second time derivative.
 
@@ -41,12 +51,7 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     Raises:
         InputError: the grid is too coarse for the cutoff.
     """
-    if cutoff > highest_cutoff(period) * (1.0 + _UNSURE):
-        clock = "; or stamps are not in seconds" if period > 1.0 else ""
-        raise InputError(
-            f"a cutoff of {cutoff:g} Hz is too high for data at {1 / period:.3g} Hz: set the parameter filter.cutoff "
-            f"(--cutoff) to {highest_cutoff(period):.3g} or less{clock}"
-        )
+    check_cutoff(cutoff, period)
     half = max(1, round(0.5 * _LENGTH_IN_CUTOFF_PERIODS / (cutoff * period)))
     value = np.pad(_low_pass(cutoff * period, half), len(_FIRST_DIFFERENCE) // 2)
     first = np.convolve(value, _FIRST_DIFFERENCE, mode="same") / period

@@ -143,6 +143,11 @@ class SignalPipeline:
         return JointGate(joints, self._limits[:, places], turning, max_gap)
 
     @property
+    def period(self) -> float:
+        """Period of the time grid [s]; 0 until the rate is known."""
+        return self._sampler.period
+
+    @property
     def lag(self) -> float:
         """Time [s] by which samples trail the newest message; 0 until the rate is known."""
         return self._sampler.lag

@@ -87,9 +87,14 @@ class Sampler:
             self._start(round(settings.period * 1e9))
 
     @property
+    def period(self) -> float:
+        """Period of the time grid [s]; 0 until the rate is known."""
+        return self._grid.period * 1e-9 if self._grid is not None else 0.0
+
+    @property
     def lag(self) -> float:
         """Time [s] by which samples trail the newest message; 0 until the rate is known."""
-        return self._grid.lag * self._grid.period * 1e-9 if self._grid is not None else 0.0
+        return self._grid.lag * self.period if self._grid is not None else 0.0
 
     def add(self, accepted: AcceptedMessages) -> None:
         """Take messages that are later than the last ones of their topic. Raises InputError if the cutoff is too high

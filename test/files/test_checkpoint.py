@@ -352,7 +352,7 @@ class TestFolder:
         [
             (lambda: session("arm7"), "of another robot"),
             (lambda: session(**{"filter.cutoff": 8.0}), "filter.cutoff is 5.0, here 8.0"),
-            (lambda: session(effects=["viscous_friction"]), "effects is"),
+            (lambda: session(effects=["viscous_friction"]), "; model.effects is [['coulomb_friction', 'joint1', "),
             (lambda: session(effort_gain=2.0), "effort_gain is 1.0, here 2.0"),
             (lambda: session(links=["link3"]), "links is"),
             (lambda: session(wrenches=["w"], **{"wrench.w.frame": "wrist_ft"}), "wrench.w.frame is None, here"),

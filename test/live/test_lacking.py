@@ -137,7 +137,7 @@ def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_
     other = arm.session.identifier.solve()
 
     def save_other() -> list[AcceptedMessages]:
-        saving.save_last(arm.session, other, PATIENCE)
+        saving.save_last(arm.session, other).result(PATIENCE)
         return arm.messages
 
     saving.begin(SimpleNamespace(session=arm.session, messages=save_other), arm.estimate, lambda _: None)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from estimation.arms import Truth, efforts, motion, samples, shipped, truth
 
-from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
@@ -160,19 +159,3 @@ def test_what_was_learned_of_the_robot_is_forgotten_as_time_goes_by() -> None:
         watch.update(10 * block, measured.stamps[:10], same, [ChannelNoise()] * 3, share)
         learned.append(watch._baselines[0].information.copy())
     np.testing.assert_allclose(learned[59], (1.0 + share**20) * learned[39], rtol=1e-9)
-
-
-def test_what_is_carried_is_not_learned_from() -> None:
-    """The estimate is that of the bare arm, by the very same rows."""
-    arm = Arm()
-    bare, with_load = arm.measured(arm.truth, 0.0), arm.measured(arm.loaded, 0.0)
-    load = np.zeros(arm.model.dimension)
-    load[10 * (len(arm.robot.bodies) - 1) :][:10] = BALL
-    between = slice(round(BEFORE * RATE), round(AFTER * RATE))
-    found = []
-    for measured, carried in ((bare, None), (with_load, load)):
-        identifier = Identifier(arm.model)
-        _, rows, _ = identifier.add(measured.select(between), payload_parameters=carried)
-        assert rows.targets == pytest.approx(arm.model.rows(measured.select(between)).targets, nan_ok=True)
-        found.append(identifier.solve().parameters)
-    assert found[0] == pytest.approx(found[1], rel=1e-3, abs=1e-3)

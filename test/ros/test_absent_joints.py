@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 from threading import Event
 from types import SimpleNamespace
 
@@ -21,7 +22,7 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 
 from .stage import NO_CHOICE, messages
-from .waiting import PATIENCE
+from .waiting import PATIENCE, wait_until
 
 STATES = [item for item in messages() if item.topic == "/joint_states"][:300]
 ARM, FINGER = ("joint1", "joint2", "joint3"), "finger_joint1"
@@ -110,6 +111,32 @@ def test_they_are_locked_when_all_had_the_time_to_be_heard(node: tuple[Superviso
     supervisor.lock_absent_joints()
     assert supervisor.worker is not None
     assert supervisor.worker.session.identifier.counts.taken > 100, "all is settled: no rows are lost"
+
+
+def test_they_stay_locked_after_a_crash(tmp_path: Path, clock: Clock) -> None:
+    """The rows are of the robot with these joints locked. An empty checkpoint of another robot is in nobody's way."""
+    said: list[str] = []
+    log = SimpleNamespace(info=said.append, warning=lambda _: None, error=lambda line: said.append(f"error: {line}"))
+    parameters = {**NO_CHOICE, "solve_period": 3600.0, "checkpoint.folder": str(tmp_path), "checkpoint.period": 0.1}
+    for life in range(2):
+        supervisor = Supervisor(Configuration(parameters), Ledger(), log, Listener(), None)
+        supervisor.build(with_gripper(), "test")
+        for _ in range(2):
+            if not life:
+                feed(supervisor)
+            supervisor.lock_absent_joints()
+            clock.now += 2.0 * module._PUBLISHERS_START
+        if not life:
+            kept = feed(supervisor)
+            assert supervisor.checkpoints is not None
+            wait_until(lambda of=supervisor.checkpoints, rows=kept: of.status.values["rows"] == rows)
+        assert supervisor.checkpoints is not None
+        assert supervisor.worker is not None
+        assert supervisor.worker.session.identifier.rows == kept > 100
+        assert joints(supervisor) == ARM
+        supervisor.worker.close(PATIENCE)
+        supervisor.checkpoints.close(PATIENCE)
+    assert not [line for line in said if line.startswith("error")]
 
 
 def test_failures_are_counted_on_though_another_worker_takes_over(node: tuple[Supervisor, list[str]]) -> None:

@@ -7,6 +7,7 @@ import itertools
 import json
 import logging
 import os
+import re
 import signal
 import threading
 import time
@@ -37,7 +38,7 @@ from geomid_ros.signals.ledger import Ledger
 
 from .observer import latched
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages, staged
-from .waiting import PATIENCE, wait_until
+from .waiting import PATIENCE, final_estimate, wait_until
 
 ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.5}
 FLAT = {**NO_CHOICE, "wrenches": ["wrist"], "wrench.wrist.topic": "/wrench", "wrench.wrist.frame": "wrist_ft"}
@@ -240,6 +241,33 @@ def test_the_next_session_waits_for_a_slow_disk(tmp_path: Path, monkeypatch: pyt
     assert node.checkpoints.status.problem == ""
     assert f"with {rows} rows" in node.checkpoints.beginning
     node.close()
+
+
+@pytest.mark.parametrize(("ends", "said"), [(True, "written: "), (False, "may not be saved: .* after 0.[3-9] s")])
+def test_what_is_saved_late_is_reported_as_it_is(
+    ends: bool, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Another one may be saved at the same time; and saving goes on while the last checkpoint is written."""
+    parameters = {**FLAT, "output_folder": str(tmp_path), "solve_period": 3600.0}
+    node = Supervisor(Configuration(parameters), Ledger(), logging.getLogger(), Listener(), None)
+    node.build(description("arm3"), "arm3.urdf")
+    assert node.worker is not None
+    fed(node.worker.session, 0, HALF)
+    final_estimate(node.worker)
+    monkeypatch.setattr(supervisor, "PATIENCE", 0.3)
+    other = node.saving._one_at_a_time
+    other.acquire()
+
+    def end() -> None:
+        if ends:
+            other.release()
+            wait_until(lambda: not any(thread.name == "geomid-saving" for thread in threading.enumerate()))
+
+    monkeypatch.setattr(node, "checkpoints", SimpleNamespace(close=end))
+    caplog.set_level(logging.INFO)
+    node.close()
+    assert re.search(said, caplog.messages[-1])
+    assert ends or other.release() is None
 
 
 def test_what_was_to_be_forgotten_is(tmp_path: Path) -> None:

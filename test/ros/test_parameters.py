@@ -215,6 +215,7 @@ def test_what_rows_depend_on_changes_after_stop_and_reset(stage: Stage, out: Pat
     assert "expected a number from" in change(stage, "joint.joint1.effort_gain", 1e7)
     gains = {"effort_gain": 2.0, "joint.joint1.effort_gain": 1.0}  # as its default, and unlike the others
     assert [change(stage, name, gain) for name, gain in gains.items()] == ["", ""]
+    assert "a cutoff of 300 Hz is too high for data at" in change(stage, "filter.cutoff", 300.0)
     assert described(stage, ["joint.joint1.effort_gain"])[0].floating_point_range
     assert stage.observer.trigger("/geomid/start")[0]
     stage.observer.publish(HALF, KINDS)

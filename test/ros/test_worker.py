@@ -12,20 +12,26 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 from files.recordings import BAGS
+from monitoring.test_payload_watch import AFTER, BEFORE, MASS, NOISE, RATE, Arm
 
+from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.archive import decoded, encoded
+from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import inbox
 from geomid_ros.live import worker as module
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.worker import Worker
+from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import Decoder
+from geomid_ros.types import IntArray
 
 from .stage import NO_CHOICE, messages
 from .waiting import PATIENCE, final_estimate, wait_until
@@ -44,8 +50,10 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
 class Watched(Listener):
     """A worker on the small arm, and what it tells."""
 
-    def __init__(self, solve_period: float, **parameters: Any) -> None:
+    def __init__(self, solve_period: float, resumed: Checkpoint | None = None, **parameters: Any) -> None:
         self.session = Session(read_urdf(BAGS / "arm3.urdf"), Configuration({**NO_CHOICE, **parameters}), "arm3.urdf")
+        if resumed is not None:
+            self.session.restore(resumed)
         self.estimates: queue.Queue[Estimate] = queue.Queue()
         self.samples = 0
         self.publish: Any = self.estimates.put
@@ -63,6 +71,14 @@ class Watched(Listener):
     def feed(self, begin: int = 0, end: int = len(JOINTS)) -> None:
         for message in JOINTS[begin:end]:
             self.worker.enqueue([Received(*message, time.perf_counter())])
+
+    def take(self, samples: Samples, begin: int, end: int) -> Estimate:
+        """The estimate with such samples, too."""
+        for first in range(begin, end, 10):
+            self.worker._add(samples.select(np.arange(first, first + 10)), np.zeros(10))
+        found = self.final()
+        assert isinstance(found, Estimate)
+        return found
 
     def final(self) -> Estimate | GeomidError:
         """The answer to a request for a final estimate."""
@@ -87,11 +103,13 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
     """Nor those near a reversal: dry friction may be anything there. Those of fast joints do."""
     judged: dict[int, Any] = {}
     speeds: dict[int, Any] = {}
-    monkeypatch.setattr(
-        quiet.worker.solver.detector,
-        "add",
-        lambda _, stamps, rows: judged.update(zip(stamps.tolist(), rows.targets, strict=True)),
-    )
+    add = quiet.worker.solver.detector.add
+
+    def note(first: int, stamps: IntArray, rows: Rows) -> bool:
+        judged.update(zip(stamps.tolist(), rows.targets, strict=True))
+        return add(first, stamps, rows)
+
+    monkeypatch.setattr(quiet.worker.solver.detector, "add", note)
     monkeypatch.setattr(
         quiet.session.review.check,
         "add",
@@ -99,12 +117,56 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
     )
     quiet.feed()
     assert isinstance(quiet.final(), Estimate)
-    targets = np.array([judged[stamp] for stamp in sorted(judged)])
-    speed = np.array([speeds[stamp] for stamp in sorted(judged)])
+    common = sorted(judged.keys() & speeds.keys())
+    targets = np.array([judged[stamp] for stamp in common])
+    speed = np.array([speeds[stamp] for stamp in common])
     slow, fast = speed < 0.005, speed > 0.8 * np.max(speed, axis=0)
     assert np.sum(slow) > 3
     assert np.all(np.isnan(targets[slow]))
     assert np.mean(np.isfinite(targets[fast])) > 0.9
+
+
+@pytest.mark.parametrize("forgetting_time", [0.0, 5.0])
+def test_what_is_carried_is_neither_learned_nor_judged(forgetting_time: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even what came before it was noticed. What was learned is not forgotten meanwhile."""
+    arm, checked = Arm(), list[int]()
+    measured = arm.measured(arm.loaded)
+    with closing(Watched(NEVER, forgetting_time=forgetting_time)) as watched:
+        monkeypatch.setattr(watched.session.review.check, "add", lambda part: checked.extend(part.stamps.tolist()))
+        found, status = watched.take(measured, 0, len(measured)), watched.worker.status(active=True)
+    assert found.sigmas == pytest.approx(NOISE, rel=0.2)
+    left_out = status.rows_rejected["payload carried"] / len(watched.session.model.channels)
+    assert (AFTER - BEFORE) * RATE < left_out < (AFTER - BEFORE + 4.0) * RATE
+    times = 1e-9 * np.array(checked)
+    assert np.min(times) < BEFORE < AFTER < np.max(times)
+    assert not np.any((times > BEFORE) & (times < AFTER))
+
+
+def test_what_is_carried_and_what_was_found_is_known_after_a_crash() -> None:
+    arm, fault = Arm(), RecordingFault(cause=Cause(kind="sign", sentence="reversed", places=("joint1",)))
+    measured, crash = arm.measured(arm.loaded), round(0.5 * (BEFORE + AFTER) * RATE)
+    with closing(Watched(NEVER)) as watched:
+        watched.take(measured, 0, crash)
+        before = watched.worker.solver.payload
+        watched.session.review.findings = (fault,)
+        kept = watched.session.checkpoint()
+        kept = decoded(Checkpoint, encoded(vars(kept), kept.accounts), watched.session.meaning)
+    with closing(Watched(NEVER, kept)) as watched:
+        after = watched.worker.solver.payload
+        assert before is not None
+        assert after is not None
+        assert after.parameters == pytest.approx(before.parameters)
+        assert (after.columns, after.since) == (before.columns, before.since)
+        assert watched.worker._causes(sure=True) == ["reversed"]
+        later = round(AFTER * RATE) - 100
+        watched.take(measured, crash, later)
+        after = watched.worker.solver.payload
+        assert after is not None
+        assert after.mass == pytest.approx(MASS, rel=0.05)
+        assert watched.take(measured, later, len(measured)).sigmas == pytest.approx(NOISE, rel=0.2)
+        assert watched.worker.solver.payload is None
+        watched.worker.reset()
+        wait_until(lambda: not watched.session.review.findings)
 
 
 def test_an_implausible_mass_is_told() -> None:
