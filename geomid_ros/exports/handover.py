@@ -249,9 +249,23 @@ class FileTest:
 
     @property
     def limited(self) -> list[str]:
-        """Sentences on the other worse channels, which the corrected file or the full estimate predicts better: the
-        sensor errors are beside the file, or it cannot represent some effects."""
-        return [sentence for sentence, as_estimate in self._remarks if not as_estimate]
+        """Sentences on what the file lacks: that it lost most of what the estimate gained, and on the other worse
+        channels, which the corrected file or the full estimate predicts better: the sensor errors are beside the file,
+        or it cannot represent some effects."""
+        return [*self._lost, *(sentence for sentence, as_estimate in self._remarks if not as_estimate)]
+
+    @property
+    def _lost(self) -> Iterator[str]:
+        """Yield a sentence if the file with the sensor errors is nearer to the given description than to the estimate,
+        by the ratios of their RMS."""
+        kinds = self.corrected, self.full_rms, self.given
+        file, estimate, given = (float(np.nansum(list(kind.values()))) for kind in kinds)
+        if estimate < given and file**2 > estimate * given:
+            yield (
+                f"{self.name} predicts less well than the estimate that it is from: RMS {file:.3g}, estimate "
+                f"{estimate:.3g}, given {given:.3g} (summed over the channels); it cannot represent all effects; "
+                "choose another format (--for), or use estimate.json"
+            )
 
     @property
     def _remarks(self) -> Iterator[tuple[str, bool]]:

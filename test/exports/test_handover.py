@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from functools import cache
@@ -186,8 +187,18 @@ def test_what_a_file_cannot_say_casts_no_doubt_on_a_result_that_predicts_better(
     """It is told, as the file's user has to know it."""
     limited = judged_file(found=0.9)
     assert not limited.worse
-    (sentence,) = limited.limited
+    lost, sentence = limited.limited
     assert "RMS 2 instead of 1 (it cannot represent spring of a)" in sentence
+    assert "f.urdf predicts less well than the estimate that it is from: RMS 2.2, estimate 1.9, given 2 " in lost
+
+
+@pytest.mark.parametrize(("rms", "tells"), [(1.9, False), (2.1, True)])
+def test_a_file_that_loses_most_of_what_the_estimate_gained_says_so(rms: float, tells: bool) -> None:
+    """Though it is better than what it is from at every channel: RMS 4 there, 1 of the estimate."""
+    one = {"a": 1.0, "b": math.nan}
+    given, file = ({name: factor * value for name, value in one.items()} for factor in (4.0, rms))
+    judged = FileTest("f.urdf", "pinocchio", alone=file, corrected=file, given=given, full_rms=one, omitted_effects={})
+    assert bool(judged.limited) == tells
 
 
 @pytest.mark.parametrize("reader", WRITTEN)
