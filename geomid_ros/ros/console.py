@@ -21,7 +21,7 @@ class Console:
 
     A complaint is logged if two diagnostics in a row have it, and then once a minute; its end, if two in a row no
     longer have it. One-off events are logged at once, and the same ones at most once a minute. Sentences that differ
-    only in numbers are the same.
+    only in numbers are the same; those in names are no numbers.
     """
 
     def __init__(self, log: Log) -> None:
@@ -76,7 +76,7 @@ class Console:
 
 
 def _kind(sentence: str) -> str:
-    return re.sub(r"\d+", "#", sentence)
+    return re.sub(r"\b\d+(\.\d+)?(e[-+]\d+)?", "#", sentence)
 
 
 def _with_hint(sentence: str) -> str:
