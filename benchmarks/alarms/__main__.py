@@ -5,10 +5,6 @@
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the package's entry points do; small matrices gain nothing
-
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
