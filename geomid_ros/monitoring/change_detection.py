@@ -8,8 +8,9 @@ however wrong the estimate was before; a changed robot adds more. No prior takes
 No model is perfect. Its remainder is largest in motions unlike those before, to which least squares have fitted it.
 Such blocks have a high leverage ``tr(A P A^T)``: they are learned from, but not tested. If most blocks are such, the
 motion is of another kind, and the last blocks of the one before are forgotten. A motion that returns is no gap either:
-for some twenty minutes, the noise floor is the highest of all stretches in which it was learned. Rows of a joint at
-rest or near a reversal, where dry friction is undetermined, must not be passed in.
+for some twenty minutes, the noise floor is the highest of all stretches in which it was learned. Rows of a joint that
+is slow, at rest or near a reversal, where dry friction is undetermined, must not be passed in: they differ more between
+motions than a changed robot does.
 """
 
 from __future__ import annotations
