@@ -61,7 +61,8 @@ def run(report: Report, whats: Sequence[str], seeds: Sequence[int]) -> None:
             progress.console.print(_line(found[-1]), markup=False, highlight=False, soft_wrap=True)
             report.result("alarms", [asdict(each) for each in found])
     caption = (
-        "Alarms: gaps that open, and payloads taken up, while nothing is changed, also after a payload is off; quiet are ten minutes of sines, "
+        "Alarms: gaps that open, and payloads taken up, while nothing is changed, also after a payload is off; quiet "
+        "are ten minutes of sines, "
         "aperiodic motion, motion from point to point, and stop and go; place are ten minutes of pick and place; "
         "watched: while it was known of all channels what is normal. Seconds from the change, one number for each "
         f"seed: friction of the joint grows by {100 * GROWS:g} % within {RAMP:g} s, and seconds count from the end of "

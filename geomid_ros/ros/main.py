@@ -47,15 +47,16 @@ def run_program(name: str, run: Callable[[], None]) -> None:
         check_arguments()
         run()
     except GeomidError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        sys.exit(2)
+        sentence = str(error)
     except (MemoryError, ImportError, OSError) as error:
         sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing_library(error)
         if not sentence:
             raise
-        print(f"{name}: {sentence}", file=sys.stderr)
-        sys.stderr.flush()
-        os._exit(2)  # partly loaded libraries crash when unloaded
+    else:
+        return
+    print(f"{name}: {sentence}", file=sys.stderr)
+    sys.stderr.flush()
+    os._exit(2)  # partly loaded libraries crash when unloaded, and a signal meanwhile would be the status
 
 
 def on_signal(act: Callable[[], object]) -> None:

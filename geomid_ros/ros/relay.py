@@ -215,7 +215,7 @@ class FeedforwardRelay:
         try:
             self._set_up(node)
         except NameValidationException as error:
-            raise InputError(" ".join(str(error).split())) from error
+            raise InputError(f"controller: not a name in ROS: {' '.join(str(error).split())}") from error
 
     def _set_up(self, node: Node) -> None:
         table = {parameter.name: parameter for parameter in _PARAMETERS}

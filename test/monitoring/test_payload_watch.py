@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from estimation.arms import Truth, efforts, motion, samples, shipped, truth
 
+from benchmarks.alarms.cases import Alarm, Case, Outcome
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
@@ -38,6 +39,13 @@ class State:
     def open(self) -> bool:
         """True if a channel has a gap."""
         return any(gap.since is not None for gap in self.gaps)
+
+
+def test_the_bench_counts_alarms_after_a_payload_is_off_as_false() -> None:
+    alarms = tuple(Alarm("joint2", second) for second in (100.0, 122.0, 156.0))
+    found = Outcome(Case("payload", "arm3", 1), alarms, 1.0, 0.0, 1.0)
+    assert found.false == (alarms[0], alarms[2])
+    assert found.first == alarms[1]
 
 
 class Arm:
