@@ -15,10 +15,6 @@ tracking errors, absurd ones too, to the adaptation at 500 Hz, and looks at ever
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import tempfile
 from collections import deque

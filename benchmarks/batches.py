@@ -71,3 +71,7 @@ def _cost(session: Session, batches: list[list[Raw]]) -> float:
 
 def _refuse(place: int, why: str) -> None:
     raise RuntimeError(f"message {place}: {why}")
+
+
+if __name__ == "__main__":
+    run(Report())

@@ -62,3 +62,7 @@ def _cases() -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
         yield name, rows, targets[usable] / sigmas[usable], model.nominal_inertias
     human = human_problem()
     yield "balance board", *human.train.whitened, human.prior
+
+
+if __name__ == "__main__":
+    run(Report())

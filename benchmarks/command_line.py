@@ -63,3 +63,7 @@ def _in_turns(commands: dict[str, Sequence[str]]) -> dict[str, float]:
             environment = os.environ | (_COMPLETION if arguments is _COMPLETE else {})
             seconds[name] = min(seconds[name], used_by(arguments, environment).processor)
     return seconds
+
+
+if __name__ == "__main__":
+    run(Report())

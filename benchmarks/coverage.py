@@ -209,3 +209,7 @@ def _errors(where: Arm, found: Estimate, true: FloatArray, run: Run) -> tuple[fl
     )
     links = np.linalg.norm(away[manifold.inertial].reshape(-1, 10), axis=1)
     return float(np.mean(links)), float(np.mean(effects)), float(np.sqrt(np.mean((residuals / fresh.noise) ** 2)))
+
+
+if __name__ == "__main__":
+    run(Report())

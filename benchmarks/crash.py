@@ -7,11 +7,8 @@ third while a checkpoint is being written. Every life goes on with the folder as
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the node does
-
 import argparse
+import os
 import re
 import signal
 import subprocess

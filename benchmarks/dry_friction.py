@@ -9,10 +9,6 @@ the default settings. Dry friction turns sharply (``tanh(v / 0.004)``), smoothly
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import json
 import shutil

@@ -12,10 +12,6 @@ effect is compared: intervals that are right overlap as often as they state.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import json
 import sys

@@ -9,10 +9,6 @@ the true robot is MuJoCo's. Errors are those of the hand, root mean square in mm
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import tempfile
 from dataclasses import dataclass, field, replace

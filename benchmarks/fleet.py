@@ -6,12 +6,9 @@ scheduler restarted in mid-run; memory of the client; and what a population is w
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the package's entry points do
-
 import argparse
 import json
+import os
 import shutil
 import signal
 import subprocess

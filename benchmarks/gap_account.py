@@ -12,10 +12,6 @@ where a finding, or a rival of one, says so. Beside the URDF alone there is noth
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import json
 import math

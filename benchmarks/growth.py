@@ -52,3 +52,7 @@ def _cost(report: Report, folder: Path, seconds: int, rate: int) -> _Cost:
     gap = ("gap", bag, "--out", str(folder / "gap"))
     _, used = (in_fresh_process(used_by, ("-m", "geomid_ros", *each), may_fail=False) for each in (simulate, gap))
     return _Cost(seconds, rate, used.processor, used.peak)
+
+
+if __name__ == "__main__":
+    run(Report())

@@ -58,3 +58,7 @@ def run(report: Report) -> None:
     show(problem, outcomes, report, "(c) A real person, V-B and Table I", caption)
     shown = [(o.method, o.parameters) for name in _SHOWN for o in outcomes if o.method == name]
     report.picture("fig5_human", draw_bodies(problem, body_frames(), shown))
+
+
+if __name__ == "__main__":
+    run(Report())

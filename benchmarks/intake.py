@@ -94,3 +94,7 @@ def _make_samples(session: Session, path: Path) -> None:
     with Bag(path) as bag:
         for _ in read_samples(bag, session, session.new_pipeline(), _TOPICS):
             pass
+
+
+if __name__ == "__main__":
+    run(Report())

@@ -81,3 +81,7 @@ def _draw(problem: Problem, outcomes: list[Outcome]) -> Figure:
     panel.grid(axis="y", alpha=0.3)
     panel.legend(ncols=len(shown), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.16))
     return figure
+
+
+if __name__ == "__main__":
+    run(Report())

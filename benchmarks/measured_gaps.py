@@ -158,3 +158,7 @@ def _cells(found: dict[str, Any]) -> list[str]:
 
 
 _KINDS = ("before", "inertias_only", "after")
+
+
+if __name__ == "__main__":
+    run(Report())

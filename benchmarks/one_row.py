@@ -76,3 +76,7 @@ def _collapsed(problem: Problem, parameters: FloatArray) -> int:
     axes, _ = pseudo_inertia.equivalent_ellipsoid(parameters.reshape(-1, 10))
     expected, _ = pseudo_inertia.equivalent_ellipsoid(problem.prior.reshape(-1, 10))
     return int(np.count_nonzero(~(axes > _COLLAPSED * expected)))
+
+
+if __name__ == "__main__":
+    run(Report())

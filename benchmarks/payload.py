@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from benchmarks.report import Report
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.bags.bag import Bag
+from geomid_ros.live.solver import CHOSEN_ANEW
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
@@ -130,7 +131,7 @@ def _follow(session: Session, before: Samples, after: Samples) -> _Course:
     for begin in range(0, len(after) - every, every):
         identifier.add(after.select(slice(begin, begin + every)))
         warm = WarmStart(estimate.parameters)
-        if identifier.has_grown_beyond(chosen):
+        if identifier.has_grown_beyond(chosen, CHOSEN_ANEW):
             warm, chosen = None, identifier.rows
         estimate = identifier.solve(warm)
         times.append(1e-9 * float(after.stamps[begin + every - 1]))
@@ -161,3 +162,7 @@ def _panel(panel: Axes, courses: list[_Course]) -> None:
         panel.plot(course.times, course.masses, color=colour, label=_label(course.forgetting_time))
     panel.set_ylim(-0.25 * _MASS, 1.6 * _MASS)
     panel.grid(alpha=0.3)
+
+
+if __name__ == "__main__":
+    run(Report())

@@ -70,3 +70,7 @@ def _distance(problem: Problem, method: peers.Method, weight: float) -> float:
 def _cells(distances: dict[tuple[str, float, int], tuple[float, float]], name: str, errors: float) -> list[str]:
     chosen, best = np.mean([distances[name, errors, seed] for seed in _SEEDS], axis=0)
     return [f"{chosen:.4f}", f"{best:.4f}"]
+
+
+if __name__ == "__main__":
+    run(Report())

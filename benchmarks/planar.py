@@ -106,3 +106,7 @@ def _ellipse(panel: Axes, pseudo: FloatArray, colour: object, alpha: float) -> N
     panel.add_patch(
         Ellipse(tuple(centre), widths[1], widths[0], angle=angle, facecolor=colour, edgecolor="black", alpha=alpha)
     )
+
+
+if __name__ == "__main__":
+    run(Report())

@@ -18,11 +18,14 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+FOLDER = Path("out/bench")
+"""Where results go unless another folder is named."""
+
 
 class Report:
     """Tables, pictures and results of one run, in ``folder``."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path = FOLDER) -> None:
         self._folder = folder
         self._console = Console(width=190)
         self._status = Console(stderr=True)

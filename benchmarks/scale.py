@@ -148,3 +148,7 @@ def _panel(panel: Axes, costs: list[_Cost], what: str, of: str) -> None:
         panel.loglog(sizes, values, "o-", label=f"{name}: exponent {exponent(sizes, values):.2f}")
     panel.grid(which="both", alpha=0.2)
     panel.legend(fontsize=8)
+
+
+if __name__ == "__main__":
+    run(Report())

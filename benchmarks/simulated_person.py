@@ -185,3 +185,7 @@ def _plate(text: str, bodies: dict[str, FloatArray], robot: Robot, samples: Samp
         on_base = pin.Force(pin.rnea(model, data, q, v, a)[:6])
         wrenches[k] = pin.XYZQUATToSE3(samples.base_pose[k]).act(on_base).vector
     return wrenches
+
+
+if __name__ == "__main__":
+    run(Report())

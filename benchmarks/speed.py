@@ -164,3 +164,7 @@ def _first_solve() -> float:
     """Seconds of the first solve in a process."""
     body = np.array([[2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0]])
     return best_of(lambda: solve_rows(np.eye(1, 10), np.array([2.5]), np.array(0.1), body), 1)
+
+
+if __name__ == "__main__":
+    run(Report())

@@ -140,3 +140,7 @@ def _distance_to_batch(streamed: FloatArray) -> tuple[float, float]:
     )
     found = trust_region(objective, prior, _SETTINGS.tolerance * PAPER, _SETTINGS.max_steps)
     return manifold.distance(manifold.point(streamed), found.point), resident("VmHWM")
+
+
+if __name__ == "__main__":
+    run(Report())

@@ -8,10 +8,6 @@ which masses are called identified on the measured robots in ../shared/data, whi
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import json
 import tempfile

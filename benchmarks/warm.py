@@ -40,3 +40,7 @@ def run(report: Report) -> None:
     caption = f"Processor time, best of {_UPDATES} updates by {_NEW} instants, in turns with solves from the beginning."
     report.table("Warm update, UR10", ["", "ms", "from the beginning [ms]", "ratio", "must be", "aim"], rows, caption)
     report.result("warm", {"warm": warm, "cold": cold})
+
+
+if __name__ == "__main__":
+    run(Report())

@@ -260,6 +260,13 @@ def test_no_two_public_classes_share_a_name() -> None:
     assert not twice
 
 
+def test_every_bench_runs() -> None:
+    """`python -m benchmarks.NAME` of a module with an experiment does something."""
+    for path in (ROOT / "benchmarks").glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert "__main__" in text or not re.search(r"^def (run\(report|main\()", text, re.MULTILINE), path
+
+
 def test_a_docstring_begins_with_the_thing_or_with_what_is_done() -> None:
     """Not with a genitive or an indirect question, which nobody finds by searching."""
     for module, path in MODULES.items():

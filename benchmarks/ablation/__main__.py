@@ -10,10 +10,6 @@ Numbers that are read when a module is imported are evaluated anew in the module
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import json
 import sys

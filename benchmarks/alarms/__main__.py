@@ -5,10 +5,6 @@
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the package's entry points do; small matrices gain nothing
-
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -65,7 +61,8 @@ def run(report: Report, whats: Sequence[str], seeds: Sequence[int]) -> None:
             progress.console.print(_line(found[-1]), markup=False, highlight=False, soft_wrap=True)
             report.result("alarms", [asdict(each) for each in found])
     caption = (
-        "Alarms: gaps that open, and payloads taken up, while nothing changes; quiet are ten minutes of sines, "
+        "Alarms: gaps that open, and payloads taken up, while nothing is changed, also after a payload is off; quiet "
+        "are ten minutes of sines, "
         "aperiodic motion, motion from point to point, and stop and go; place are ten minutes of pick and place; "
         "watched: while it was known of all channels what is normal. Seconds from the change, one number for each "
         f"seed: friction of the joint grows by {100 * GROWS:g} % within {RAMP:g} s, and seconds count from the end of "
@@ -100,7 +97,7 @@ def _said(found: Outcome) -> str:
 
 
 def _quiet(found: Sequence[Outcome]) -> Iterator[_ROW]:
-    """A line for each robot: alarms while nothing changes, in quiet cases and before changes."""
+    """A line for each robot: alarms while nothing is changed, in quiet cases, before changes and after payloads."""
     for (what, robot), own in groupby(sorted(found, key=_robot), _robot):
         outcomes = list(own)
         alarms = sum(len(each.false) for each in outcomes)
@@ -116,7 +113,7 @@ def _quiet(found: Sequence[Outcome]) -> Iterator[_ROW]:
 
 
 def _robot(found: Outcome) -> tuple[str, str]:
-    return found.case.what if found.case.change is None else "before the change", found.case.robot
+    return found.case.what if found.case.change is None else "before and after changes", found.case.robot
 
 
 def _delays(found: Sequence[Outcome]) -> Iterator[_ROW]:

@@ -111,8 +111,9 @@ class Outcome:
 
     @property
     def false(self) -> tuple[Alarm, ...]:
-        """Those while nothing changed."""
-        return tuple(alarm for alarm in self.alarms if self.case.change is None or alarm.time < self.case.unchanged)
+        """Those while nothing was changed: before a change, and after the payload is off."""
+        change = self.case.change
+        return tuple(each for each in self.alarms if change is None or not change.at <= each.time <= change.until)
 
     @property
     def first(self) -> Alarm | None:

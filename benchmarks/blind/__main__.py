@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the package's entry points do; small matrices gain nothing
-
 import argparse
 import json
 from collections.abc import Iterator, Sequence

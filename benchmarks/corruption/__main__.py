@@ -11,10 +11,6 @@ Every fault is written into a bag, which is read as ``geomid identify`` reads it
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import json
 import tempfile

@@ -6,11 +6,8 @@ of counts now and then. The file ``FOLDER/at`` always has the number of the inpu
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import json
+import os
 import resource
 import signal
 import sys

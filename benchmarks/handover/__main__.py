@@ -9,10 +9,6 @@ that were not fitted [N m, N]. For go2_air the recorded commands are replayed as
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import json
 import re

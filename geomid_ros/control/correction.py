@@ -213,7 +213,9 @@ class Correction:
         faults = [*self._faults_of(reading, before, commanded[1]), *late]
         rows, residuals = self._missing(np.array([reading.position, *commanded[1:]]), reading.effort)
         if not self.adaptation.explains(rows, residuals):
-            faults.append("no payload explains the efforts; the robot may touch something")
+            faults.append(
+                "no payload explains the efforts: the robot touches something, or lags behind its trajectory's clock"
+            )
         self._faults = faults
         self.latch.record(now, faults)
         if not faults and not self.latch.reason:

@@ -109,10 +109,12 @@ def with_efforts(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float
     """
     times = trajectory.times
     result = sampled(trajectory, efforts_of, times)
-    while np.any(too_coarse := _too_coarse(result, efforts_of, tolerance)):
+    unsure = np.ones(len(times) - 1, dtype=np.bool_)
+    while np.any(too_coarse := _too_coarse(result, efforts_of, tolerance, unsure)):
         middle = 0.5 * (times[1:] + times[:-1])
         times = np.sort(np.concatenate([times, middle[too_coarse]]))
         result = sampled(trajectory, efforts_of, times)
+        unsure = np.repeat(too_coarse, 1 + too_coarse)  # both halves
     return result
 
 
@@ -126,12 +128,15 @@ def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) ->
     )
 
 
-def interpolation_errors(found: Trajectory, efforts_of: EffortsOf) -> FloatArray:
-    """Largest error of linearly interpolated efforts between two points ``(N - 1, joints)`` [N m, N]."""
+def interpolation_errors(found: Trajectory, efforts_of: EffortsOf, where: BoolArray | None = None) -> FloatArray:
+    """Largest error of linearly interpolated efforts between two points ``(N - 1, joints)`` [N m, N]; zero where
+    ``where (N - 1,)`` is False."""
     times, steps = found.times, np.diff(found.times)
     probes = [np.arange(times[0], times[-1], _PROBED), *(times[:-1] + fraction * steps for fraction in _INSIDE)]
     at = np.concatenate(probes)
     between = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(steps) - 1)
+    if where is not None:
+        at, between = at[where[between]], between[where[between]]
     fraction = ((at - times[between]) / steps[between])[:, None]
     linear = (1.0 - fraction) * found.efforts[between] + fraction * found.efforts[between + 1]
     errors = np.zeros((len(steps), len(found.joints)))
@@ -139,9 +144,9 @@ def interpolation_errors(found: Trajectory, efforts_of: EffortsOf) -> FloatArray
     return errors
 
 
-def _too_coarse(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float) -> BoolArray:
-    """True where a further point is needed ``(N - 1,)``."""
+def _too_coarse(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float, unsure: BoolArray) -> BoolArray:
+    """True where a further point is needed ``(N - 1,)``; it is not where ``unsure (N - 1,)`` is False."""
     largest = np.max(np.abs(trajectory.efforts), axis=0)
     bounds = np.maximum(tolerance * largest, ROUNDING * np.max(largest))
-    off = np.any(interpolation_errors(trajectory, efforts_of) > bounds, axis=1)
+    off = np.any(interpolation_errors(trajectory, efforts_of, unsure) > bounds, axis=1)
     return np.asarray(off & (np.diff(trajectory.times) >= 2.0 * SHORTEST))

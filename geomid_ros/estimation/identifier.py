@@ -18,7 +18,7 @@ from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD
 from geomid_ros.estimation.revocable_buffer import BufferedSample, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.model.measurement_model import MeasurementModel, Rows
-from geomid_ros.model.samples import REGIMES, SAMPLES_PER_PIECE, Samples, regimes
+from geomid_ros.model.samples import SAMPLES_PER_PIECE, Samples, regimes
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -150,7 +150,7 @@ class Identifier:
 
         Returns:
             Stamps ``(N,)`` and rows of the samples that are not standing still; and ``(N, channels)``, true for efforts
-            of joints at rest or near a reversal, where dry friction may have any value.
+            of joints that move slowly, at rest or near a reversal: dry friction may be below its full level there.
         """
         rows = self.model.rows(samples)
         rows.coefficients[:, :, absent_columns] = 0.0
@@ -178,7 +178,7 @@ class Identifier:
                     self._recent.append(BufferedSample(self.sample_count, *instant))
                     self.sample_count += 1
                 self._settle_before(self.sample_count - self._held)
-        return samples.stamps[moved], taken, motion_regimes == REGIMES - 1
+        return samples.stamps[moved], taken, motion_regimes > 0
 
     def _settle_before(self, number: float) -> None:
         settled = list[BufferedSample]()

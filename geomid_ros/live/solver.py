@@ -67,7 +67,8 @@ SOLVING, WATCHING = "solving", "searching for changes"
 _FAILURE = "the solver failed"
 _CARRIED = "payload carried"  # why rows are left out
 _EARLIER = 64  # estimates kept: those made until a gap is detected, over most of a minute or more
-_CHOSEN_ANEW = 0.5  # new fraction of the data at which effects and the prior's weight are selected again
+CHOSEN_ANEW = 0.5
+"""New fraction of the data at which effects and the prior's weight are selected again."""
 
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
 
@@ -310,7 +311,7 @@ class Solver:
             warm = self._session.warm_start
             if warm is None or self.problem:
                 return None
-            return replace(warm, effects_alone=self._session.identifier.has_grown_beyond(warm.rows, _CHOSEN_ANEW))
+            return replace(warm, effects_alone=self._session.identifier.has_grown_beyond(warm.rows, CHOSEN_ANEW))
 
     def _solve_from_scratch(self) -> Estimate | GeomidError:
         """Solve from scratch, or return the result for the same rows: clients ask again after a timeout."""

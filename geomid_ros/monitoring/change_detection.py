@@ -8,8 +8,9 @@ however wrong the estimate was before; a changed robot adds more. No prior takes
 No model is perfect. Its remainder is largest in motions unlike those before, to which least squares have fitted it.
 Such blocks have a high leverage ``tr(A P A^T)``: they are learned from, but not tested. If most blocks are such, the
 motion is of another kind, and the last blocks of the one before are forgotten. A motion that returns is no gap either:
-for some twenty minutes, the noise floor is the highest of all stretches in which it was learned. Rows of a joint at
-rest or near a reversal, where dry friction is undetermined, must not be passed in.
+for some twenty minutes, the noise floor is the highest of all stretches in which it was learned. Rows of a joint that
+is slow, at rest or near a reversal, where dry friction is undetermined, must not be passed in: they differ more between
+motions than a changed robot does.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ hardly in the next one, where an offset may explain it."""
 ALARM = -float(np.log(1e-7))
 """Log evidence that opens or closes a gap. At most a fraction exp(-ALARM) of a channel's blocks opens one if its noise
 is unchanged."""
+_UNSETTLED = (REMEMBERED * PART + LATE) // BLOCK  # blocks that a payload may turn out to have been carried in
 _FEWEST = 10  # rows for each parameter, which are not independent, and then blocks, before there is a noise floor
 _MOST_BLOCKS = 60  # blocks of a stretch, about a minute
 _RISE = 2.25  # times the noise floor: the gap that the test detects; times the mean leverage: another motion
@@ -194,12 +196,15 @@ class _Cusum:
         self._channel = channel
         self._forgetting_time = forgetting_time
         self._factor = np.zeros((0, len(channel.columns) + 1))
+        self._settled = self._factor  # without the blocks that may be taken back
+        self._unsettled: deque[tuple[int, FloatArray]] = deque()  # index of the first sample, and rows
         self._rows = 0.0  # sum of their remaining weights
         self._last_stamp: int | None = None
         self._energies: deque[float] = deque(maxlen=_MOST_BLOCKS)
         self._learned = 0  # number of energies of this stretch
         self._earlier: deque[_Normal] = deque(maxlen=REMEMBERED)  # noise floors of earlier stretches
-        self._suspect: deque[tuple[float, FloatArray, bool]] = deque(maxlen=REMEMBERED)  # energy, rows, True if typical
+        self._suspect: deque[tuple[int, float, FloatArray, bool]] = deque(maxlen=REMEMBERED)
+        # index of the first sample, energy, rows, True if typical
         self._ratios: deque[float] = deque(maxlen=_FEWEST_BAD)
         self._unlike: deque[bool] = deque(maxlen=_FEWEST)  # True for blocks of another motion
         self._evidence = 0.0  # log evidence for an opening or, if open, for its end
@@ -229,11 +234,14 @@ class _Cusum:
         return ChannelNoise(level, 2.0 * shape / BLOCK) if level > 0.0 else ChannelNoise()
 
     def clear_suspicion(self, began: int) -> None:
-        """Close a gap that opened at sample ``began`` or later, and forget suspect rows: something else explains
-        them."""
+        """Close a gap that opened at sample ``began`` or later, and forget suspect rows and those learned since then:
+        something else explains them."""
         self._open, self._evidence = self._open and self._first < began, 0.0
         self._suspect.clear()
         self._ratios.clear()
+        while self._unsettled and self._unsettled[-1][0] + BLOCK > began:
+            self._rows -= len(self._unsettled.pop()[1])
+            self._factor = triangular(np.concatenate([self._settled, *(rows for _, rows in self._unsettled)]))
 
     @property
     def _moves_otherwise(self) -> bool:
@@ -252,12 +260,14 @@ class _Cusum:
         self._unlike.append(self.ready and self._leverage(rows[:, :-1]) > _RISE)
         self._factor, self._rows = np.sqrt(retained) * self._factor, retained * self._rows
         if retained < 1.0:
+            self._settled = np.sqrt(retained) * self._settled
+            self._unsettled = deque((begin, np.sqrt(retained) * old) for begin, old in self._unsettled)
             self._earlier = deque((_Normal(retained * floor.level, floor.shape) for floor in self._earlier), REMEMBERED)
         joined = triangular(np.concatenate([self._factor, rows]))
         energy = max(_unexplained(joined) - _unexplained(self._factor), 0.0) / len(rows)
         if self.ready and not self._unlike[-1] and not self._moves_otherwise:
             self._test(energy, first, int(stamps[0]))
-        self._suspect.append((energy, rows, self._moves_otherwise or not self._unlike[-1]))
+        self._suspect.append((first, energy, rows, self._moves_otherwise or not self._unlike[-1]))
         if self._open:
             self._suspect.clear()
         elif self._evidence == 0.0 or self._moves_otherwise:
@@ -272,7 +282,7 @@ class _Cusum:
     def _learn(self) -> None:
         """Learn from suspect blocks as normal ones."""
         while self._suspect:
-            energy, rows, is_typical = self._suspect.popleft()
+            first, energy, rows, is_typical = self._suspect.popleft()
             if is_typical and self._rows >= _FEWEST * len(self._channel.columns):
                 self._energies.append(energy)
                 self._learned += 1
@@ -280,6 +290,9 @@ class _Cusum:
                     self._earlier.append(self._recent)
             self._factor = triangular(np.concatenate([self._factor, rows]))
             self._rows += len(rows)
+            self._unsettled.append((first, rows))
+            if len(self._unsettled) > _UNSETTLED:
+                self._settled = triangular(np.concatenate([self._settled, self._unsettled.popleft()[1]]))
 
     def _leverage(self, coefficients: FloatArray) -> float:
         """Mean leverage of new rows ``(N, d)`` relative to that of the rows before."""

@@ -131,16 +131,19 @@ class _Block:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Maximum a posteriori ``point`` of a payload; ``excess``: its log evidence beyond that of an unknown effect."""
+    """Maximum a posteriori ``point`` of a payload; ``excess``: its log evidence beyond that of an unknown effect;
+    ``shifts (channels, 10)``: by how much it moves per gain error of each channel."""
 
     point: Point
     excess: float
     covariance: FloatArray
+    shifts: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class _Likelihood:
-    """Log likelihood of a payload relative to none: ``information (10, 10)``, ``slope (10,)``.
+    """Log likelihood of a payload relative to none: ``information (10, 10)``, ``slope (10,)``; ``parts (channels, 10,
+    10)``: information of each channel.
 
     ``vagueness``: gain of any payload, as its efforts need not be exact. ``unknown``: gain if an unknown effect acts on
     each channel, as large as observed and different in every block, or if effects of the channels changed.
@@ -150,6 +153,7 @@ class _Likelihood:
     slope: FloatArray
     vagueness: float
     unknown: float
+    parts: FloatArray
 
     def gain(self, body: FloatArray) -> float:
         """Log likelihood of a payload ``(10,)`` relative to none."""
@@ -221,7 +225,8 @@ class PayloadWatch:
             links: number of columns of links; effects follow.
             prior_mean: payload ``(10,)`` at the centre of the prior.
             prior_std: prior standard deviation, a geodesic distance.
-            gain: relative standard deviation of the common gain of efforts.
+            gain: relative standard deviation of the gain of efforts: one for all channels, or one for each, whichever
+                leaves the mass more uncertain.
             threshold: log evidence at which a payload is accepted or dropped.
         """
         self._link, self._columns = link, columns
@@ -315,7 +320,7 @@ class PayloadWatch:
                 products[-1, -1] = -errors @ step
 
     def _likelihood(self, block: _Block) -> _Likelihood:
-        total, vagueness, unknown, joints = np.zeros((SIZE + 1, SIZE + 1)), 0.0, 0.0, self._surprise
+        parts, vagueness, unknown, joints = [np.zeros((SIZE + 1, SIZE + 1))], 0.0, 0.0, self._surprise
         for baseline, products, rows, blocks, noise in zip(
             self._baselines, block.products, block.rows, block.blocks, self._noise, strict=True
         ):
@@ -328,12 +333,13 @@ class PayloadWatch:
             inflation = 1.0 + _LACKING**2 * excess
             inexact_gain = 0.5 * (squares * (1.0 - 1.0 / inflation) - blocks * float(np.log(inflation)))
             vagueness += inexact_gain
-            total += weighted / inflation
+            parts.append(weighted / inflation)
             volume = 0.5 * (len(effects_only) - 1) * float(np.log1p(rows * noise.independent))
             needed = inflation * (volume + self._surprise - inexact_gain)
             if 0.5 * squares > needed:  # nothing explains more than all of it
                 joints += max(_largest_gain(effects_only[:-1, :-1], effects_only[:-1, -1]) - needed, 0.0) / inflation
-        return _Likelihood(total[:-1, :-1], total[:-1, -1], vagueness, max(unknown, joints - self._surprise))
+        total, unknown = np.sum(parts, axis=0), max(unknown, joints - self._surprise)
+        return _Likelihood(total[:-1, :-1], total[:-1, -1], vagueness, unknown, np.array(parts)[:, :-1, :-1])
 
     @property
     def _last(self) -> list[_Block]:
@@ -371,7 +377,8 @@ class PayloadWatch:
     def _note(self, loaded: _Block, fit: _Fit) -> None:
         self._loaded = loaded
         body = fit.point.parameters
-        covariance = fit.covariance + self._gain**2 * np.outer(body, body)
+        common, separate = np.outer(body, body), fit.shifts.T @ fit.shifts
+        covariance = fit.covariance + self._gain**2 * max(common, separate, key=lambda part: float(part[0, 0]))
         self.payload = CarriedPayload(
             self._link, self._columns, frozen(body), frozen(covariance), loaded.stamp, loaded.first
         )
@@ -408,7 +415,8 @@ class PayloadWatch:
         information = jacobian.T @ likelihood.information @ jacobian + precision * np.eye(SIZE)
         occam = 0.5 * float(np.linalg.slogdet(information / precision)[1])
         gain = likelihood.gain(point.parameters) - 0.5 * precision * float(away @ away) - occam
-        return _Fit(point, gain - likelihood.unknown, jacobian @ spd.inverse(information) @ jacobian.T)
+        covariance = jacobian @ spd.inverse(information) @ jacobian.T
+        return _Fit(point, gain - likelihood.unknown, covariance, likelihood.parts @ point.parameters @ covariance)
 
 
 def _largest_gain(information: FloatArray, slope: FloatArray) -> float:

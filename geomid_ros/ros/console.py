@@ -6,11 +6,10 @@ import re
 import time
 from collections.abc import Iterable, Iterator, Sequence
 
-from geomid_ros.errors import one_line
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Log
-from geomid_ros.ros.diagnostics import Advised
+from geomid_ros.ros.diagnostics import Advised, node_line
 
 AGAIN = 60.0  # [s] until a sentence is logged again
 _MOST_KINDS = 200  # bound on remembered sentences, as names in them are from outside
@@ -21,7 +20,7 @@ class Console:
 
     A complaint is logged if two diagnostics in a row have it, and then once a minute; its end, if two in a row no
     longer have it. One-off events are logged at once, and the same ones at most once a minute. Sentences that differ
-    only in numbers are the same.
+    only in numbers are the same; those in names are no numbers.
     """
 
     def __init__(self, log: Log) -> None:
@@ -72,11 +71,11 @@ class Console:
         self._logged |= dict.fromkeys(map(_kind, sentences), time.monotonic())
         while len(self._logged) > _MOST_KINDS:
             self._logged.pop(min(self._logged, key=self._logged.__getitem__))
-        return one_line("; ".join(map(_with_hint, sentences)))
+        return node_line("; ".join(map(_with_hint, sentences)))
 
 
 def _kind(sentence: str) -> str:
-    return re.sub(r"\d+", "#", sentence)
+    return re.sub(r"\b\d+(\.\d+)?(e[-+]\d+)?", "#", sentence)
 
 
 def _with_hint(sentence: str) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
 from importlib import import_module
 from typing import Any, NamedTuple, TypeAlias
 
@@ -170,6 +172,10 @@ class Filled(NamedTuple):
     trajectory: Trajectory | None
 
 
+Fill: TypeAlias = Callable[[JointTrajectory, Callable[[Future[Filled]], None]], None]
+"""Adds efforts to a trajectory. The second argument is called later, with the result; it is a GeomidError if the
+trajectory must not be sent on."""
+
 _STOP = Filled(JointTrajectory(), None)
 
 
@@ -185,7 +191,7 @@ class ActionRelay:
         node: Node,
         controller: str,
         action: Any,
-        fill: Callable[[JointTrajectory], Filled],
+        fill: Fill,
         follow: Callable[[Filled], None],
         client: Callable[..., Any] = ActionClient,
         server: Callable[..., Any] = ActionServer,
@@ -195,7 +201,7 @@ class ActionRelay:
             node: serves, and reaches the controller.
             controller: its name.
             action: control_msgs' FollowJointTrajectory.
-            fill: adds efforts. Raises GeomidError for trajectories that must not be sent on.
+            fill: adds efforts.
             follow: receives the trajectory that the controller follows from now on.
             client: makes an action client.
             server: makes an action server.
@@ -216,10 +222,13 @@ class ActionRelay:
         )
 
     def _on_goal(self, handle: Any) -> None:
+        self._fill(handle.request.trajectory, partial(self._on_filled, handle))
+
+    def _on_filled(self, handle: Any, result: Future[Filled]) -> None:
         """Send a goal on, or end it with a reason."""
         request = handle.request
         try:
-            filled = self._fill(request.trajectory)
+            filled = result.result()
         except GeomidError as error:
             self._refuse(handle, f"{NOT_SENT}: {error}")
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -115,10 +116,15 @@ class Diagnostics:
 def status_message(name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
     """Return a status with one scalar for each key."""
     texts = {key: f"{value:.6g}" if isinstance(value, float) else str(value) for key, value in values.items()}
-    pairs = [KeyValue(key=one_line(key), value=one_line(text)) for key, text in texts.items()]
+    pairs = [KeyValue(key=node_line(key), value=node_line(text)) for key, text in texts.items()]
     return DiagnosticStatus(
-        name=one_line(name), hardware_id="geomid", level=level, message=one_line(message), values=pairs
+        name=one_line(name), hardware_id="geomid", level=level, message=node_line(message), values=pairs
     )
+
+
+def node_line(text: str) -> str:
+    """Return the text in one line, without options of the command line such as (--lock), which a node has not."""
+    return one_line(re.sub(r" \(--[a-z-]+\)", "", text))
 
 
 def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
@@ -298,7 +304,7 @@ def _warnings(status: Status, new: Status) -> list[str]:
     sentences += _most_frequent(refusals)
     sentences += _remarks(new)
     sentences += [f"{name} lost ({account.lost} messages)" for name, account in accounts.items() if account.lost]
-    if status.unmeasured:
+    if len(status.unmeasured) < status.joints and status.unmeasured:
         sentences.append(
             f"{status.name(JOINT_STATES)}: no effort of {_list(status.unmeasured)}; its equation is left out"
         )

@@ -21,9 +21,10 @@ def _run() -> None:
     stopping = threading.Event()
     on_signal(stopping.set)
     with running_node("geomid_feedforward", automatically_declare_parameters_from_overrides=True) as node:
-        FeedforwardRelay(node)
+        relay = FeedforwardRelay(node)
         while not stopping.is_set():
             rclpy.spin_once(node, timeout_sec=PAUSE)
+        relay.close()
 
 
 if __name__ == "__main__":

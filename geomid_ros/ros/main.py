@@ -30,13 +30,13 @@ _SWITCH_INTERVAL = 5e-4  # [s]
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit status 0, or 2 with one message if it cannot start."""
-    # Instead of the default 5 ms, a solver in Python code may block the intake for this time only.
-    sys.setswitchinterval(_SWITCH_INTERVAL)
     run_program("geomid_node", _run)
 
 
 def run_program(name: str, run: Callable[[], None]) -> None:
     """Run a program of this ``name``; an error at its start is one message, and exit status 2."""
+    # Instead of the default 5 ms, another thread in Python code may block the intake for this time only.
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     # End at once during imports, which take long; there are no data to lose yet.
     on_signal(lambda: os._exit(0))
     try:
@@ -47,15 +47,16 @@ def run_program(name: str, run: Callable[[], None]) -> None:
         check_arguments()
         run()
     except GeomidError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        sys.exit(2)
+        sentence = str(error)
     except (MemoryError, ImportError, OSError) as error:
         sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing_library(error)
         if not sentence:
             raise
-        print(f"{name}: {sentence}", file=sys.stderr)
-        sys.stderr.flush()
-        os._exit(2)  # partly loaded libraries crash when unloaded
+    else:
+        return
+    print(f"{name}: {sentence}", file=sys.stderr)
+    sys.stderr.flush()
+    os._exit(2)  # partly loaded libraries crash when unloaded, and a signal meanwhile would be the status
 
 
 def on_signal(act: Callable[[], object]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,6 +21,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.live.effort_predictor import EffortPredictor
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.searches import NO_DATA, BackgroundSearch, PayloadSearch, look_for_gap
@@ -174,12 +176,14 @@ class GeomidNode(LifecycleNodeMixin, Node):
         """Begin to identify the robot of the parameter, or that of the topic once its description arrives.
 
         Raises:
-            InputError: the description does not fit the parameters.
+            InputError: the description does not fit the parameters, or the model cannot be read.
         """
         if self._configuration["robot_description"]:
             self._build(self._configuration["robot_description"], "parameter robot_description")
         elif self._urdf:
             self._build(self._urdf, "topic robot_description")
+        elif self._configuration["model"]:
+            EstimateFile.read(Path(self._configuration["model"]))  # fails now, not once a description comes
         self._configured = True
 
     def activate(self) -> None:

@@ -6,8 +6,11 @@ Natural adaptation: receives joint states, publishes the link's inertia and corr
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -202,7 +205,8 @@ class FeedforwardRelay:
     ``control_msgs`` is installed.
 
     Its node declares the parameters that it was given. Refused trajectories are not sent on. With ``heaviest_payload``
-    a ``link`` adapts to a payload (:class:`~geomid_ros.ros.relay.AdaptationNode`).
+    a ``link`` adapts to a payload (:class:`~geomid_ros.ros.relay.AdaptationNode`). Efforts are computed in a thread of
+    their own, one trajectory after the other, as joint states must be answered meanwhile.
     """
 
     def __init__(self, node: Node) -> None:
@@ -211,7 +215,7 @@ class FeedforwardRelay:
         try:
             self._set_up(node)
         except NameValidationException as error:
-            raise InputError(" ".join(str(error).split())) from error
+            raise InputError(f"controller: not a name in ROS: {' '.join(str(error).split())}") from error
 
     def _set_up(self, node: Node) -> None:
         table = {parameter.name: parameter for parameter in _PARAMETERS}
@@ -226,8 +230,11 @@ class FeedforwardRelay:
         )
         self._read_at = self._changed_at()
         self._session = self._read()
+        self._filling = ThreadPoolExecutor(1)
+        self._due: SimpleQueue[Callable[[], None]] = SimpleQueue()  # what the thread leaves to the node's
+        self._is_due = node.create_guard_condition(self._do_due)
         self._publisher = node.create_publisher(JointTrajectory, f"{controller}/joint_trajectory", 10)
-        node.create_subscription(JointTrajectory, _IN, self._relay, 10)
+        node.create_subscription(JointTrajectory, _IN, partial(self._fill, done=self._relay), 10)
         if (action := follow_joint_trajectory()) is not None:
             ActionRelay(node, controller, action, self._fill, self._follow)
         self._adapting = AdaptationNode(node, self._session, values["link"], heaviest) if heaviest else None
@@ -242,9 +249,22 @@ class FeedforwardRelay:
     def _read(self) -> Session:
         return robot_to_move(self._options, self._model or None)
 
-    def _relay(self, message: JointTrajectory) -> None:
+    def close(self) -> None:
+        """Wait for the trajectory whose efforts are being computed."""
+        self._filling.shutdown(cancel_futures=True)
+
+    def _later(self, function: Callable[[], None]) -> None:
+        """Call a function in the node's thread."""
+        self._due.put(function)
+        self._is_due.trigger()
+
+    def _do_due(self) -> None:
+        while not self._due.empty():
+            self._due.get()()
+
+    def _relay(self, result: Future[Filled]) -> None:
         try:
-            filled = self._fill(message)
+            filled = result.result()
         except GeomidError as error:
             self._log.error(f"{NOT_SENT}: {error}")
             return
@@ -254,7 +274,12 @@ class FeedforwardRelay:
         self._publisher.publish(filled.message)
         self._follow(filled)
 
-    def _fill(self, message: JointTrajectory) -> Filled:
+    def _fill(self, message: JointTrajectory, done: Callable[[Future[Filled]], None]) -> None:
+        """Add efforts to a trajectory; ``done`` is called in the node's thread."""
+        result = self._filling.submit(self._filled, message)
+        result.add_done_callback(lambda _: self._later(partial(done, result)))
+
+    def _filled(self, message: JointTrajectory) -> Filled:
         """Add efforts to a trajectory. Raises GeomidError if it is refused."""
         if not message.points:  # a command to stop
             return Filled(message, None)
@@ -262,7 +287,7 @@ class FeedforwardRelay:
             self._session = self._read()
             self._read_at = changed_at
             if self._adapting is not None:
-                self._adapting.use(self._session)
+                self._later(partial(self._adapting.use, self._session))
             self._log.info(f"{self._model} has changed and is read again")
         result = fill_efforts(
             self._session, trajectory_of(message, "trajectory"), self._options.tolerance, "trajectory"

@@ -44,6 +44,15 @@ def fed(case: Case, *more: Case, **buffer: float) -> Identifier:
     return identifier
 
 
+def test_efforts_of_slow_joints_are_uncertain() -> None:
+    """The slower a joint moves, the less is known of its dry friction: only a fast one's rows are judged."""
+    case = arm("arm3", 0, seconds=1)
+    moving = case.samples.select(slice(0, 3))
+    speeds = np.array([0.5, 0.02, 0.002])
+    _, _, uncertain = Identifier(case.model).add(replace(moving, velocity=np.tile(speeds, (3, 1))))
+    assert uncertain.tolist() == [[False, True, True]] * 3
+
+
 def test_standing_still_adds_nothing_and_pushes_nothing_out() -> None:
     case = arm("arm3", 0, seconds=5)
     before = fed(case)

@@ -111,6 +111,19 @@ def test_a_gap_is_about_twice_the_floor(times: float, opens: bool) -> None:
         assert opened == opens
 
 
+def test_what_was_learned_from_a_payload_is_unlearned() -> None:
+    """It shows after some blocks; those before it came stay."""
+    own, source = cusum(), Source(1)
+    for _ in range(30):
+        source.block(own)
+    factor, rows, came = own._factor, own._rows, source.first
+    for _ in range(5):
+        source.block(own, 0.9)
+    own.clear_suspicion(came)
+    np.testing.assert_allclose(own._factor.T @ own._factor, factor.T @ factor)
+    assert own._rows == rows
+
+
 @pytest.mark.parametrize(("measured", "judged"), [(BLOCK // 2 - 1, False), (BLOCK // 2, True)])
 def test_a_block_of_which_less_than_half_is_measured_says_nothing(measured: int, judged: bool) -> None:
     own, source = cusum(), Source(5)

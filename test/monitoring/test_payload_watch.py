@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from estimation.arms import Truth, efforts, motion, samples, shipped, truth
 
+from benchmarks.alarms.cases import Alarm, Case, Outcome
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
@@ -39,6 +40,13 @@ class State:
         return any(gap.since is not None for gap in self.gaps)
 
 
+def test_the_bench_counts_alarms_after_a_payload_is_off_as_false() -> None:
+    alarms = tuple(Alarm("joint2", second) for second in (100.0, 122.0, 156.0))
+    found = Outcome(Case("payload", "arm3", 1), alarms, 1.0, 0.0, 1.0)
+    assert found.false == (alarms[0], alarms[2])
+    assert found.first == alarms[1]
+
+
 class Arm:
     """A small arm of which some parameters are others between two instants."""
 
@@ -63,7 +71,7 @@ class Arm:
         felt[between] = efforts(self.robot, changed, self.moving)[between]
         return samples(self.moving, felt + noise * self.rng.normal(size=felt.shape), RATE)
 
-    def watched(self, measured: Samples) -> list[State]:
+    def watched(self, measured: Samples, gain: float = 0.0) -> list[State]:
         """Five times a second."""
         rows, step = self.model.rows(measured), 10
         links = self.model.nominal_inertias.reshape(-1, 10)
@@ -75,7 +83,7 @@ class Arm:
             columns,
             links.size,
             prior_mean=default_payload(links, last),
-            gain=0.0,
+            gain=gain,
             prior_std=PAYLOAD_PRIOR_STD,
             threshold=ALARM,
         )
@@ -105,6 +113,15 @@ def test_a_payload_is_picked_up_weighed_and_put_down() -> None:
     assert settled.parameters[1:4] / settled.mass == pytest.approx(CENTRE, abs=0.01)
     assert abs(1e-9 * settled.since - BEFORE) < 1.0
     assert not any(state.open for state in states)
+
+
+def test_gains_of_each_joint_widen_the_interval_of_the_mass() -> None:
+    """The mass follows from differences between joints, so their gains count for more than a common one."""
+    arm, gain = Arm(1), 0.3
+    states = arm.watched(arm.measured(arm.loaded), gain)
+    carried = next(state.carried for state in states if state.time > BEFORE + 6.0)
+    assert carried is not None
+    assert np.sqrt(carried.covariance[0, 0]) > 1.1 * gain * carried.mass
 
 
 def test_without_a_payload_there_is_none() -> None:

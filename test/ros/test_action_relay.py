@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import closing
 from pathlib import Path
+from threading import Event
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from action_msgs.msg import GoalStatus
 from rclpy.action.server import CancelResponse
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from trajectory_msgs.msg import JointTrajectory
 
 import geomid_ros
+from geomid_ros.api.feedforward import fill_efforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.ros import relay
@@ -24,6 +31,7 @@ from geomid_ros.ros.controller import ActionRelay, Filled, message_of
 from .actions import Client, FollowJointTrajectory, ended
 from .stage import Stage
 from .test_feedforward import model, motion
+from .waiting import PATIENCE
 
 __all__ = ["model"]  # a fixture
 
@@ -114,13 +122,16 @@ class Rig:
         self.controller, self.planner = Client.last, Server.last
 
     @staticmethod
-    def _fill(message: JointTrajectory) -> Filled:
-        if message.joint_names == [TOO_FAST]:
-            raise InputError("trajectory: joint 'a' would need 7, more than its limit")
+    def _fill(message: JointTrajectory, done: Callable[[Future[Filled]], None]) -> None:
         found = Trajectory(
             MOTION.joints, MOTION.times, MOTION.positions, MOTION.velocities, MOTION.accelerations, np.full((2, 1), 7.0)
         )
-        return Filled(message_of(found), found)
+        result = Future[Filled]()
+        if message.joint_names == [TOO_FAST]:
+            result.set_exception(InputError("trajectory: joint 'a' would need 7, more than its limit"))
+        else:
+            result.set_result(Filled(message_of(found), found))
+        done(result)
 
     def _follow(self, found: Filled) -> None:
         self.followed.append(found.trajectory)
@@ -223,6 +234,13 @@ def test_the_relay_fills_goals_as_it_does_what_comes_on_the_topic(
     monkeypatch.setitem(sys.modules, "control_msgs", package)
     monkeypatch.setitem(sys.modules, "control_msgs.action", actions)
     monkeypatch.setattr(relay, "ActionRelay", lambda *arguments: made.append(arguments))
+    meanwhile = Event()
+
+    def held(*arguments: Any) -> Any:
+        assert meanwhile.wait(PATIENCE), "the node's thread waits for the efforts"
+        return fill_efforts(*arguments)
+
+    monkeypatch.setattr(relay, "fill_efforts", held)
     overrides = [Parameter("model", value=str(model)), Parameter("controller", value="/arm")]
     node = Node(
         "filling",
@@ -231,12 +249,19 @@ def test_the_relay_fills_goals_as_it_does_what_comes_on_the_topic(
         automatically_declare_parameters_from_overrides=True,
     )
     try:
-        relay.FeedforwardRelay(node)
-        ((own, controller, action, fill, _),) = made
-        assert (own, controller, action) == (node, "/arm", FollowJointTrajectory)
-        expected = geomid_ros.feedforward(motion(), model).trajectory
-        np.testing.assert_allclose(fill(message_of(motion())).trajectory.efforts, expected.efforts, atol=1e-6)
-        with pytest.raises(InputError, match="more than its limit"):
-            fill(message_of(motion(duration=0.05)))
+        with closing(relay.FeedforwardRelay(node)):
+            ((own, controller, action, fill, _),) = made
+            assert (own, controller, action) == (node, "/arm", FollowJointTrajectory)
+            results, executor = list[Future[Filled]](), SingleThreadedExecutor(context=node.context)
+            for given in (motion(), motion(duration=0.05)):
+                fill(message_of(given), results.append)
+            meanwhile.set()
+            while len(results) < 2:
+                rclpy.spin_once(node, executor=executor)
+            expected, trajectory = geomid_ros.feedforward(motion(), model).trajectory, results[0].result().trajectory
+            assert trajectory is not None
+            np.testing.assert_allclose(trajectory.efforts, expected.efforts, atol=1e-6)
+            with pytest.raises(InputError, match="more than its limit"):
+                results[1].result()
     finally:
         node.destroy_node()

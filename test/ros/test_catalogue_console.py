@@ -70,6 +70,14 @@ class TestConsole:
             clock[0] += 1.0
         assert [line for line, _ in log.lines] == ["warning"] * (300 // int(AGAIN))
 
+    def test_joints_that_differ_in_a_number_are_others(self) -> None:
+        """Sentences that differ in what was measured are the same."""
+        log = Lines()
+        console = Console(log)
+        lines = [f"'{joint}' is {delay} s late" for joint in ("joint4", "joint5") for delay in (2, 0.31, 1e-05)]
+        console.log_events(lines)
+        assert [line for _, line in log.lines] == lines[::3]
+
     def test_what_is_gone_again_is_not_said(self, clock: list[float]) -> None:
         log = Lines()
         console = Console(log)

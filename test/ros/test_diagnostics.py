@@ -94,6 +94,17 @@ def test_an_error_of_one_topic_hides_no_warning_of_another() -> None:
     assert message == "/wrench rejected: late (30 messages); joint_states rejected: late (30 messages)"
 
 
+def test_no_effort_at_all_is_one_sentence() -> None:
+    level, message = said(status(joints=2, unmeasured=("a", "b")))
+    assert level == ERROR
+    assert message.count("no effort") == 1
+
+
+def test_options_of_the_command_line_are_not_named() -> None:
+    lock = Account(accepted=1, rejected=Counter({"joint 'a' is missing: set locked_joints (--lock)": 2}))
+    assert said(status({"/wrench": lock}))[1].endswith("set locked_joints (2 messages)")
+
+
 def test_an_exception_is_told_once() -> None:
     before = status(failures=Counter({"a callback failed": 1}))
     assert said(before) == (ERROR, "a callback failed")

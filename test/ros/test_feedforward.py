@@ -80,7 +80,7 @@ REFUSED = {
     "no robot": ({}, "no robot is given"),
     "type": ({"tolerance": "x"}, "tolerance is 'x', expected a number"),
     "tolerance": ({"tolerance": 0}, "tolerance is 0, expected 0 < tolerance < 1"),
-    "name": ({"urdf": str(BAGS / "arm3.urdf"), "controller": "bad-name"}, "bad-name"),
+    "name": ({"urdf": str(BAGS / "arm3.urdf"), "controller": "bad-name"}, "controller: not a name in ROS"),
     "misspelt": ({"heaviest_paylod": 2.0}, "Did you mean 'heaviest_payload'"),
     "empty list": ({"model": []}, "a parameter has no value"),
 }

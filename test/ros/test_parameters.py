@@ -40,6 +40,7 @@ REFUSED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "unknown": ({"gama": 0.5}, ("unknown parameter 'gama'", "Did you mean 'gamma'", "solve_period")),
     "empty list": ({"links": []}, ('an empty list is written as [""]',)),
     "topic": (sensor(frame="tool", topic="not a topic"), ("not a topic", "Invalid topic")),
+    "model": ({"model": "/nowhere.json"}, ("/nowhere.json: the model cannot be read",)),
     "frame": ({**sensor(frame="hand"), "robot_description": ARM3}, ("unknown link 'hand'", "wrist_ft")),
 }
 # Arguments that are not for ROS, of either program.
