@@ -87,7 +87,7 @@ def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> t
 
 
 def posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> Posterior:
-    """Joint posterior of all parameters."""
+    """Joint posterior of all parameters, for the constants of the effects as they are."""
     model = problem.model
     return Posterior(
         links=tuple(model.body_names),

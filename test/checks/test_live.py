@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import re
 import time
 
 from files.recordings import BAGS, recorded
@@ -64,10 +65,11 @@ def test_a_remark_is_a_warning_in_the_same_words_until_a_reset() -> None:
     try:
         fed(worker)
         assert isinstance(solved(worker), Estimate)
-        assert remark in worker.status(active=True).warnings
+        words = [re.sub(r"[\d.]+", "", warning) for warning in worker.status(active=True).warnings]
+        assert re.sub(r"[\d.]+", "", remark) in words  # the numbers are without the last seconds, not yet judged
         assert worker.status(active=True).problems == ()
         worker.reset()
         assert isinstance(solved(worker), GeomidError)
-        assert remark not in worker.status(active=True).warnings
+        assert not any("gravity" in warning for warning in worker.status(active=True).warnings)
     finally:
         worker.close()

@@ -338,7 +338,10 @@ def test_92_a_hang_is_known_though_nothing_can_begin_anew(monkeypatch: pytest.Mo
     monkeypatch.setattr(Activity, "current", ("taking", 1e6))
     ended = SimpleNamespace(close=lambda _: None, estimate=None)
     worker = SimpleNamespace(
-        activity=Activity(), solver=ended, session=SimpleNamespace(urdf="<no robot"), **vars(ended)
+        activity=Activity(),
+        solver=ended,
+        session=SimpleNamespace(urdf="<no robot", pipeline=SimpleNamespace(period=0.0)),
+        **vars(ended),
     )
     ended.activity = Activity()
     watched = watching(None, worker)
@@ -373,7 +376,9 @@ class Slow:
     """As much of a worker as saving asks: it has an estimate, or none, and never another one."""
 
     def __init__(self, estimate: Any) -> None:
-        self.session: Any = SimpleNamespace(review=SimpleNamespace(verdict=lambda _: VERDICT))
+        self.session: Any = SimpleNamespace(
+            review=SimpleNamespace(verdict=lambda _: VERDICT), pipeline=SimpleNamespace(period=0.0)
+        )
         self.estimate = estimate
         self.saved: list[Any] = []
 
