@@ -137,7 +137,7 @@ def _report(found: list[Number]) -> None:
 def _shared() -> None:
     for name, case in CASES.items():
         bags, validate = [DATA / bag for bag in case.train], [DATA / bag for bag in case.validate]
-        found = geomid_ros.identify(bags, DATA / case.urdf, validate=validate, **case.options)
+        found = geomid_ros.identify(bags, case.description, validate=validate, **case.options)
         print(f"{name}: {_said(found)}", flush=True)
 
 

@@ -93,12 +93,12 @@ def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
 
 
 def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
-    """Give one effect its most likely shape among the columns ``shapes``, if possible one in which all effects are
-    plausible."""
+    """Give one effect its most likely shape among the columns ``shapes`` in which all effects are plausible."""
     others = np.setdiff1d(fit.all_columns, shapes)
     absent = [shape for shape in shapes if shape not in fit.all_columns]
-    tried = (fit.rows.fit(np.sort(np.append(others, shape)), fit, prior_stds=fit.fit.scales) for shape in absent)
-    return min([fit, *tried], key=lambda shaped: (not np.all(shaped.is_plausible), shaped.score))
+    tried = [fit.rows.fit(np.sort(np.append(others, shape)), fit, prior_stds=fit.fit.scales) for shape in absent]
+    plausible = [shaped for shaped in tried if np.all(shaped.is_plausible)]
+    return min([fit, *plausible], key=lambda shaped: shaped.score)
 
 
 def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
