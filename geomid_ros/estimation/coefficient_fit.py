@@ -68,6 +68,10 @@ class CoefficientRows:
         """Mechanism of a column: its effect at its place, whatever constants it has."""
         return self.coefficient(column).mechanism
 
+    def mechanisms(self, columns: IntArray) -> list[Mechanism]:
+        """Mechanisms of those of the columns that are coefficients."""
+        return [self.mechanism(column) for column in columns.tolist() if column >= self.first_column]
+
     @cached_property
     def required_columns(self) -> IntArray:
         """Columns of all non-optional parameters, effects in their default shape."""
@@ -76,7 +80,7 @@ class CoefficientRows:
     @cached_property
     def required_mechanisms(self) -> list[Mechanism]:
         """Mechanisms that are never left out."""
-        return [self.mechanism(column) for column in self.required_columns if column >= self.first_column]
+        return self.mechanisms(self.required_columns)
 
     @cached_property
     def shapes(self) -> dict[Mechanism, list[int]]:
@@ -97,7 +101,7 @@ class CoefficientRows:
 
     def candidates(self, columns: IntArray, refused: Collection[Mechanism]) -> IntArray:
         """Columns that may be added to ``columns``, without the ``refused`` mechanisms."""
-        excluded = {self.mechanism(column) for column in columns if column >= self.first_column} | {*refused}
+        excluded = {*self.mechanisms(columns), *refused}
         return np.array([column for column in self.optional if self.mechanism(column) not in excluded], dtype=np.int64)
 
     @cached_property
@@ -212,11 +216,6 @@ class CoefficientFit:
     def all_columns(self) -> IntArray:
         """Columns, including those fixed at zero."""
         return np.union1d(self.columns, self.zero_columns)
-
-    @property
-    def mechanisms(self) -> list[Mechanism]:
-        """Mechanisms in the fit."""
-        return [self.rows.mechanism(column) for column in self.all_columns if column >= self.rows.first_column]
 
     @property
     def negative(self) -> IntArray:

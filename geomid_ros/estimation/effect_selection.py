@@ -86,7 +86,7 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
     """Give every effect of ``joints`` its most likely shape, one effect after the other."""
     rows = fit.rows
-    for mechanism in fit.mechanisms:
+    for mechanism in rows.mechanisms(fit.all_columns):
         if set(joints).intersection(joints_of(mechanism[1])):
             fit = _best_shape(fit, rows.shapes[mechanism])
     return rows.fit(fit.all_columns, fit)
@@ -112,11 +112,11 @@ def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
 
 
 def _best(present: CoefficientFit, candidates: IntArray) -> tuple[int, CoefficientFit | None]:
-    """Return the candidate column that improves a fit most, and the fit with it; None if not visibly better."""
+    """Return the candidate column that improves a fit most, and the fit with it; None if that is not significant."""
     starts = (present, present.with_default_priors)
     gains = np.max([start.gains(candidates) for start in starts], axis=0)
     column = int(candidates[np.argmax(gains)])
-    if np.max(gains) < max(_VISIBLE * float(np.max(present.rows.counts[present.rows.fast])), SIGNIFICANT_STDS**2):
+    if np.max(gains) < SIGNIFICANT_STDS**2:
         return column, None
     columns = np.sort(np.append(present.all_columns, column))
     return column, min((present.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)

@@ -33,8 +33,8 @@ from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-_FAR = 2.0  # default prior std: a link with a larger fitted prior std is an outlier
 _TAKEN = 2.0  # standard deviations: a smaller effect is not significant
+_FAR = 2.0  # default prior std: a link with a larger fitted prior std is an outlier
 _SPENT = (
     "the solver ran out of steps before the prior stds of the links converged; masses are those of the last step; "
     "check that the URDF is this robot's and in SI units, and the signs of the efforts"
