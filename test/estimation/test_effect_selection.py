@@ -103,6 +103,16 @@ def test_a_planted_effect_is_found_where_it_is(name: str, joint: int, effect: st
     assert value.value == pytest.approx(SIZES[effect], abs=max(4.0 * value.std, 0.1 * SIZES[effect]))
 
 
+@pytest.mark.parametrize(("stiffness", "is_found"), [(0.012, False), (0.04, True)])
+def test_what_is_significant_must_be_visible_too(stiffness: float, is_found: bool) -> None:
+    """The smaller spring is more than three standard deviations from none, but its joint's residual hardly falls."""
+    case = planted("arm3", 1, "")
+    change = np.zeros_like(case.samples.effort)
+    change[:, 1] = stiffness * case.samples.position[:, 1]
+    taken = chosen(solved(case.with_efforts(case.samples.effort + change)))
+    assert [(one.name, one.joint) for one in taken] == [("spring", "joint2")] * is_found
+
+
 def test_a_motor_that_turns_parallel_joints_is_told_from_an_inertia_by_the_prior_alone() -> None:
     """``c (a_1 + a_2)`` at both is what the outer link's inertia about their axis makes, which would have to be far
     from the prior. No such motor is looked for; who knows of one says so."""
