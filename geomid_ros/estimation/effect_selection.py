@@ -14,15 +14,17 @@ absorbed an effect hides it. A coefficient that cannot be negative is fixed at z
 A robot description can hold some effects but not others: a URDF has damping and friction, but no rotor inertia.
 Dropping an effect from a fit that needs it makes the file worse than one without any effects. So each file has its own
 minimum, over the inertias and the effects that it holds. The other effects are part of the noise, which is estimated
-anew. The block weights of a coupled prior are those of the estimate. Errors of sensors stay in the fit: they move
-nothing, and a file need not hold them, but without them a mass would absorb an offset. Those that are not significant
-are left out: weights that they absorb would be lost.
+anew. But inertias may also follow what is missing where only this recording has it, and predict other motion badly. So
+the file keeps the estimate's links, unless others predict folds of time better that were left out of the fit. The block
+weights of a coupled prior are those of the estimate. Errors of sensors stay in the fit: they move nothing, and a file
+need not hold them, but without them a mass would absorb an offset. Those that are not significant are left out: weights
+that they absorb would be lost.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +32,9 @@ from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRow
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
 from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
+from geomid_ros.estimation.uncertainty import fold_at
+from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.coefficients import Coefficient, Mechanism
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -128,7 +133,7 @@ def fit_files(
     files: Mapping[str, tuple[str, ...]],
     insignificant_errors: IntArray,
     choose: Callable[[IntArray, IntArray], IntArray],
-    fitted: Callable[[IntArray], Fit],
+    fitted: Callable[[IntArray], FloatArray],
 ) -> dict[str, FloatArray]:
     """Fit the parameters ``(D,)`` within each of the ``files``; zero for effects that a file does not hold.
 
@@ -148,10 +153,62 @@ def fit_files(
         columns = choose(held, np.setdiff1d(held_columns(model, estimate_columns, elements), insignificant_errors))
         if (key := tuple(columns.tolist())) not in by_columns:  # different files may hold the same columns
             parameters = np.zeros(model.dimension)
-            parameters[columns] = fitted(columns).point.parameters
+            parameters[columns] = fitted(columns)
             by_columns[key] = frozen(parameters)
         within[reader] = by_columns[key]
     return within
+
+
+def file_fit(own: Fit, estimate: Fit) -> FloatArray:
+    """Choose the parameters of a file: of its minimum, ``own``, or the ``estimate``'s links with effects fitted to
+    them.
+
+    The links change only if that predicts folds of time, to which nothing was fitted, better by more than the standard
+    error of the difference (one-standard-error rule; Breiman et al., "Classification and regression trees", 1984). The
+    noise is that of the estimate.
+    """
+    links = own.problem.manifold.inertial
+    held = replace(own, search_point=_with_links_of(estimate, own))
+    moves = _steps(estimate, estimate.fold_products)[:, links]
+    ends = _without_folds(held, own.fold_products, moves), _without_folds(own, own.fold_products)
+    products = own.problem.summary.products(estimate.sigmas, own.problem.manifold.dimension)
+    as_held, changed = (np.einsum("fi,fij,fj->f", vectors, products, vectors) for vectors in ends)
+    gains = as_held - changed  # their mean exceeds its standard error if their sum exceeds their norm
+    return (own.point if np.sum(gains) > np.linalg.norm(gains) else held.search_point).parameters
+
+
+def _with_links_of(estimate: Fit, own: Fit) -> Point:
+    """Point of the ``estimate``'s links, at which the effects minimise the objective of a fit."""
+    objective, effects = own.objective, slice(own.problem.manifold.inertial.stop, None)
+    links = estimate.point.parameters[own.problem.manifold.inertial]
+    point = own.problem.manifold.point(np.append(links, own.point.parameters[effects]))
+    for _ in range(ROUNDS):
+        evaluation, step = objective.evaluate(point), np.zeros(own.problem.manifold.dimension)
+        curvature = evaluation.information + np.diag(objective.prior_weights)
+        step[effects] = np.linalg.solve(curvature[effects, effects], -evaluation.gradient[effects])
+        point = objective.step(point, step)
+        if step @ -evaluation.gradient < SETTLED**2:
+            break
+    return point
+
+
+def _without_folds(fit: Fit, products: FloatArray, first: FloatArray | None = None) -> FloatArray:
+    """Parameters without each fold, and minus one ``(folds, D + 1)``, see :func:`_steps`."""
+    blocks, diagonal = fit.problem.manifold.jacobian(fit.search_point)
+    steps = _steps(fit, products, first)
+    moved = fit.problem.manifold.by_blocks(steps, np.swapaxes(blocks, -1, -2), diagonal)
+    return np.column_stack([fit.search_point.parameters + moved, np.full(len(moved), -1.0)])
+
+
+def _steps(fit: Fit, products: FloatArray, first: FloatArray | None = None) -> FloatArray:
+    """Newton steps ``(folds, D)``, tangent coordinates, from a minimum to that without each fold, for the folds'
+    ``products (folds, D + 1, D + 1)``; the ``first (folds, n)`` coordinates of the steps may be given."""
+    first = np.zeros((len(products), 0)) if first is None else first
+    folds = [fold_at(fit.problem.manifold, fit.search_point, fold) for fold in products]
+    others = fit.information / fit.problem.independent_fraction - np.array([fold.information for fold in folds])
+    given, rest = slice(first.shape[1]), slice(first.shape[1], None)
+    slopes = np.array([fold.gradient for fold in folds])[:, rest, None] - others[:, rest, given] @ first[:, :, None]
+    return np.column_stack([first, np.linalg.solve(others[:, rest, rest], slopes)[:, :, 0]])
 
 
 def held_columns(model: MeasurementModel, columns: IntArray, elements: Collection[str]) -> IntArray:

@@ -13,7 +13,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.coefficient_fit import CoefficientRows
-from geomid_ros.estimation.effect_selection import Choice, choose, fit_files
+from geomid_ros.estimation.effect_selection import Choice, choose, file_fit, fit_files
 from geomid_ros.estimation.estimate import WITHIN, EffectEstimate, Estimate
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
@@ -181,9 +181,11 @@ def estimate(
     def among(held: IntArray, start: IntArray) -> IntArray:
         return np.asarray(held[chosen(subproblem(full_problem, held), np.searchsorted(held, start)).columns])
 
-    _, weights, notes = solved
+    found, weights, notes = solved
     errors = _insignificant_errors(model, minimum, columns)
-    within = fit_files(model, columns, settings.files, errors, among, lambda held: fitted(held, weights=weights)[0])
+    within = fit_files(
+        model, columns, settings.files, errors, among, lambda held: file_fit(fitted(held, weights=weights)[0], found)
+    )
     result = _estimate(columns, full_problem, minimum, notes)
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
@@ -281,10 +283,7 @@ def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
         for per_period in (WHITE_ROWS_PER_PERIOD, INDEPENDENT_ROWS_PER_PERIOD)
     )
     errors = uncertainty.estimate_uncertainty(
-        [
-            _fold_at(manifold, solution.point, products)
-            for products in summary.products(fitted.sigmas, manifold.dimension)
-        ],
+        [uncertainty.fold_at(manifold, solution.point, products) for products in fitted.fold_products],
         _known_at(manifold, solution.point, known),
         1.0 / problem.independent_fraction,
         prior_weights,
@@ -408,13 +407,6 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     return GeodesicObjective(
         manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma, confidence=objective.confidence
     )
-
-
-def _fold_at(manifold: ParameterManifold, point: Point, products: FloatArray) -> uncertainty.Fold:
-    """Build a fold from the ``products (D + 1, D + 1)`` of the columns ``[A b]`` of rows of standard deviation 1."""
-    slope = products[:-1] @ np.append(point.parameters, -1.0)
-    half = manifold.whiten(point, products[:-1, :-1])
-    return uncertainty.Fold(manifold.whiten(point, slope[None])[0], manifold.whiten(point, half.T))
 
 
 def _known_at(manifold: ParameterManifold, point: Point, known: WeighedRows) -> uncertainty.Fold:

@@ -104,6 +104,11 @@ class Fit:
         """Parameters at the minimum."""
         return self.solution.point
 
+    @cached_property
+    def fold_products(self) -> FloatArray:
+        """Gram matrices ``(folds, D + 1, D + 1)`` of the measured rows of each fold, of standard deviation 1."""
+        return self.problem.summary.products(self.sigmas, self.problem.manifold.dimension)
+
     @property
     def assumed_prior_stds(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error, tangent coordinates."""

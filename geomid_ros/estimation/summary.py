@@ -313,10 +313,13 @@ class RowSummary:
     def products(self, sigmas: FloatArray, dimension: int) -> FloatArray:
         """Gram matrices ``(folds, D + 1, D + 1)`` of the columns ``[A b]`` of each fold that has rows, in units of the
         standard deviations ``(groups,)``."""
-        products = np.zeros((self.folds, dimension + 1, dimension + 1))
-        for group, parts, sigma in zip(self.groups, self.parts(), sigmas, strict=True):
-            places = np.append(group.columns, dimension)
-            products[:, places[:, None], places] += np.array([part.factor.T @ part.factor for part in parts]) / sigma**2
+        products, count = np.zeros((self.folds, dimension + 1, dimension + 1)), len(self.channels)
+        for index, channel in enumerate(self.channels):  # all its groups at once: they have the same columns
+            places = np.append(channel.columns, dimension)
+            for block, fold in zip(products, self._complete_summaries(), strict=True):
+                pairs = zip(fold[index::count], sigmas[index::count], strict=True)
+                rows = np.concatenate([part.factor / sigma for part, sigma in pairs])
+                block[places[:, None], places] += rows.T @ rows
         return products[np.any(products, axis=(1, 2))]
 
     def compressed(self, sigmas: FloatArray, dimension: int) -> tuple[FloatArray, FloatArray]:

@@ -35,6 +35,13 @@ class Fold:
     information: FloatArray
 
 
+def fold_at(manifold: ParameterManifold, point: Point, products: FloatArray) -> Fold:
+    """Build a fold from the ``products (D + 1, D + 1)`` of the columns ``[A b]`` of rows of standard deviation 1."""
+    slope = products[:-1] @ np.append(point.parameters, -1.0)
+    half = manifold.whiten(point, products[:-1, :-1])
+    return Fold(manifold.whiten(point, slope[None])[0], manifold.whiten(point, half.T))
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterGroup:
     """Tangent coordinates ``columns`` that share one prior std, by default ``default_prior_std``."""
