@@ -160,8 +160,7 @@ def fit_files(
 
 
 def file_fit(own: Fit, estimate: Fit) -> FloatArray:
-    """Choose the parameters of a file: of its minimum, ``own``, or the ``estimate``'s links with effects fitted to
-    them.
+    """Choose a file's parameters: its minimum, ``own``, or the ``estimate``'s links with the effects fitted to them.
 
     The links change only if that predicts folds of time, to which nothing was fitted, better by more than the standard
     error of the difference (one-standard-error rule; Breiman et al., "Classification and regression trees", 1984). The
