@@ -302,7 +302,7 @@ def restored(path: Path, of: Session | None = None) -> tuple[int, tuple[str, ...
     """The rows with which a session goes on, and what is said."""
     of = of or session()
     with opened(path, of) as keeper:
-        problems = keeper.restore(of.restore).problems
+        problems = keeper.restore(of.restore)[1]
     return of.identifier.rows, problems
 
 
@@ -451,7 +451,7 @@ class TestFolder:
         monkeypatch.setattr(checkpoints, "_renamed", fail)
         before, other = contents(folder), session(effort_gain=2.0)
         with opened(folder, other) as keeper:
-            problems = keeper.restore(other.restore).problems
+            problems = keeper.restore(other.restore)[1]
             assert len(problems) == 2
             with pytest.raises(GeomidError, match="cannot be set aside"):
                 keeper.write(other.checkpoint())
