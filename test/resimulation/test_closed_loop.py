@@ -13,8 +13,7 @@ from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.closed_loop import resimulate_closed_loop
-from geomid_ros.resimulation.resimulate import NotSimulatedError, Resimulated
+from geomid_ros.resimulation.resimulate import NotSimulatedError, Resimulated, resimulate_closed_loop
 from geomid_ros.resimulation.written_robot import load_mujoco
 from geomid_ros.types import FloatArray
 

@@ -51,12 +51,7 @@ from geomid_ros.types import FloatArray
 
 QUANTITY_NAMES = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
 """Parameters of a payload, in the order of :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`."""
-_PLACES = {
-    "joint": ("joint", "the joint at which it acts"),
-    "joints": ("joint", "the two joints at which it acts, FIRST+SECOND"),
-    "sensor": ("joint", "the topic of the wrench sensor"),
-    "link": ("link", "the link at which it acts"),
-}
+_PLACES = {"joint": "its joint", "joints": "FIRST+SECOND", "sensor": "its sensor's topic", "link": "its link"}
 _HEADER = """\
 # Effects of this robot's joints and sensors, in SI units. "urdf" and "mjcf" list the parameters that the URDF and the
 # MJCF also contain. If you load one of these files, add only the others. "alone" is the value in both files: it was
@@ -213,9 +208,9 @@ def _check_effect(effect: KnownEffect, where: str) -> None:
     if effect.effect not in EFFECTS:
         raise InputError(f"{where}: {unknown_name('effect', effect.effect, EFFECTS)}")
     cls, where = EFFECTS[effect.effect], f"{where} ({effect.effect})"
-    key, expected = _PLACES.get(cls.place, ("effect", ""))
-    if not getattr(effect, key):
-        raise InputError(f"{where}: {key} is not given, expected {expected}")
+    key = "link" if cls.place == "link" else "joint"
+    if cls.place in _PLACES and not getattr(effect, key):
+        raise InputError(f"{where}: {key} is not given, expected {_PLACES[cls.place]}")
     forms = {form.name: form for form in cls.parameters}
     for name, quantity in effect.parameters.items():
         if name not in forms:
@@ -246,12 +241,17 @@ def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
     return {"name": effect.effect, "joint": effect.joint, **to_document(quantity), **constants}
 
 
-def effects_entries(effects: Iterable[KnownEffect]) -> dict[str, Any]:
-    """Entries for the ``effects`` of one coefficient at a joint, and for the other effects, which are ``added``."""
+def effects_entries(
+    effects: Iterable[KnownEffect], shares: Mapping[tuple[str, str], float] | None = None
+) -> dict[str, Any]:
+    """Entries for the ``effects`` of one coefficient at a joint, and for the other effects, which are ``added``; of an
+    estimate with the ``shares`` that are from data, by effect and place."""
     kinds: dict[str, Any] = {"effects": [], "added": []}
     for effect in effects:
-        single = is_coefficient(effect)
-        kinds["effects" if single else "added"].append(coefficient_entry(effect) if single else to_document(effect))
+        single, place = is_coefficient(effect), (effect.effect, effect.joint)
+        share = {"from_data": shares.get(place)} if shares is not None and (single or place in shares) else {}
+        entry = coefficient_entry(effect) if single else to_document(effect)
+        kinds["effects" if single else "added"].append(entry | share)
     return kinds
 
 

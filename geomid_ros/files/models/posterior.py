@@ -62,7 +62,8 @@ def write_posterior(path: Path, posterior: Posterior, remainder: KnownRemainder 
     }
     arrays = {"scales": posterior.scales, "covariance": posterior.covariance}
     arrays |= {name: getattr(posterior, attribute) for name, attribute in _VECTORS.items()}
-    if remainder is not None and _size_of(remainder) < 8 * _MOST_PARAMETERS**2 and not _objection(remainder):
+    size = sum(4 * len(mean) * (len(mean) + 5) for mean in remainder.means) if remainder else 0  # upper bound [bytes]
+    if remainder is not None and size < 8 * _MOST_PARAMETERS**2 and not _objection(remainder):
         header["remainder"] = {"joints": remainder.joints, "channels": remainder.channels}
         arrays |= _arrays_of(remainder)
     content = io.BytesIO()
@@ -188,19 +189,13 @@ def _opened(path: Path) -> Iterator[tuple[_Arrays, _Header]]:
 
 def _unpacked(content: bytes) -> _Arrays:
     """All arrays. Refuses compressed ones, as they may be larger than any memory."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
-            raise InputError("its arrays are compressed")
     with np.load(io.BytesIO(content), allow_pickle=False) as members:
+        if any(member.compress_type != zipfile.ZIP_STORED for member in members.zip.infolist()):
+            raise InputError("its arrays are compressed")
         arrays = dict(members)
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise InputError("contains an object that is not an array")
     return arrays
-
-
-def _size_of(remainder: KnownRemainder) -> int:
-    """Upper bound of its size [bytes]."""
-    return sum(4 * len(mean) * (len(mean) + 5) for mean in remainder.means)
 
 
 def _objection(remainder: KnownRemainder) -> str:
