@@ -43,7 +43,7 @@ class Checkpoint:
         accounts: Accounts of the ledger, by topic.
         warm: The last estimate.
         solving: Checksum of everything but the rows that the estimate depends on.
-        number: Increases from checkpoint to checkpoint.
+        number: Increases from checkpoint to checkpoint; of a written one.
         findings: Suspected faults of the recording that the rows are from.
         carried: State of the payload watch if something is carried.
     """
@@ -53,7 +53,7 @@ class Checkpoint:
     accounts: Mapping[str, Account] = field(default_factory=dict)
     warm: WarmStart | None = None
     solving: str = ""
-    number: int = 0
+    number: int | None = None
     findings: tuple[RecordingFault, ...] = ()
     carried: WatchMemory | None = None
 
@@ -117,13 +117,13 @@ class CheckpointFolder:
         _remove(file for name in _NAMES for file in self.path.glob(f".{name}.*"))
         checkpoints, problems = self._candidates()
         used = None
-        for name in sorted(checkpoints, key=lambda name: -checkpoints[name].number):
+        for name in sorted(checkpoints, key=lambda name: checkpoints[name].number or 0, reverse=True):
             try:
                 use(checkpoints[name])
             except InputError as error:
                 problems[name] = str(error)
                 continue
-            used, self._number = checkpoints[name], checkpoints[name].number
+            used, self._number = checkpoints[name], checkpoints[name].number or 0
             self._next = 1 - _NAMES.index(name)
             break
         sentences = tuple(self._set_aside(name, problem) for name, problem in problems.items())

@@ -73,16 +73,13 @@ class WrittenRobot:
                 place = place_named(effect.place, entry.joint, self.joints)
                 if place is None:
                     raise InputError(f"{files.effects}: {unknown_name('joint', entry.joint, self.joints)}")
-                self._add(effect, place, values)
-
-    def _add(self, effect: Effect, place: Place, values: Values) -> None:
-        self.delay += effect.effort_lag(values)
-        for joint in joints_of(place):
-            self.gain[joint] *= effect.effort_scale(values)
-            self.offset[joint] += effect.effort_shift(values)
-            self._rest_friction[joint] += effect.holding_friction(values)
-            self._load_friction[joint] += effect.friction_by_load(values)
-        self._motion_effects.append((effect, place, values))
+                self.delay += effect.effort_lag(values)
+                for joint in joints_of(place):
+                    self.gain[joint] *= effect.effort_scale(values)
+                    self.offset[joint] += effect.effort_shift(values)
+                    self._rest_friction[joint] += effect.holding_friction(values)
+                    self._load_friction[joint] += effect.friction_by_load(values)
+                self._motion_effects.append((effect, place, values))
 
     @property
     def step(self) -> float:

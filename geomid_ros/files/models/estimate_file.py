@@ -143,7 +143,7 @@ class ErrorsEntry:
 class RowsEntry:
     """Counts of accepted and rejected rows."""
 
-    accepted: int = 0
+    accepted: int | None = None
     rejected: Mapping[str, int] = field(default_factory=dict)
 
 
