@@ -166,22 +166,14 @@ class TestRoundTrip:
 class TestDamage:
     """No damage goes unnoticed."""
 
-    def test_truncated(self) -> None:
-        content = small()[1]
-        rng = np.random.default_rng(0)
-        for length in {0, 1, 7, 8, 9, 31, 32, 33, 40, len(content) - 1, *rng.integers(len(content), size=200).tolist()}:
-            with pytest.raises(InputError, match="checksum"):
-                read(content[:length])
-
-    def test_flipped_bits(self) -> None:
-        content = small()[1]
-        rng = np.random.default_rng(0)
-        begin, end = range(64), range(len(content) - 64, len(content))
-        for place in {*begin, *end, *rng.integers(len(content), size=300).tolist()}:
+    def test_truncated_or_with_a_flipped_bit(self) -> None:
+        content, rng = small()[1], np.random.default_rng(0)
+        for place in {*range(64), *range(-64, 0), *rng.integers(len(content), size=300).tolist()}:
             flipped = bytearray(content)
             flipped[place] ^= 1 << int(rng.integers(8))
-            with pytest.raises(InputError, match="checksum"):
-                read(bytes(flipped))
+            for damaged in (bytes(flipped), content[:place]):
+                with pytest.raises(InputError, match="checksum"):
+                    read(damaged)
 
 
 def signed(body: bytes) -> bytes:

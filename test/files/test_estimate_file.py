@@ -30,6 +30,7 @@ from geomid_ros.session.session import Session
 from .estimates import estimate_of, link_estimate
 from .recordings import BAGS
 
+ARM = read_urdf(BAGS / "arm3.urdf")
 EFFECT = EffectEstimate(
     name="coulomb_friction", joint="joint1", parameters={"level": Quantity(0.5, 0.05, "N m")}, from_data=0.9
 )
@@ -66,7 +67,7 @@ def test_the_document_says_what_the_estimate_says() -> None:
 
 def test_units_are_those_of_the_joint() -> None:
     """Of a rail N and m, in a table, when read, and in a description's model."""
-    rail = Robot(read_urdf(BAGS / "arm3.urdf").replace("revolute", "prismatic"))
+    rail = Robot(ARM.replace("revolute", "prismatic"))
     effects = [*map(identified_effect, ("viscous_friction", "spring", "effort_offset")), CoulombFriction(0.01)]
     model = MeasurementModel(rail, effects)
     estimate = estimate_of(
@@ -92,8 +93,7 @@ def test_units_are_those_of_the_joint() -> None:
 
 
 def session_from(model: Path) -> Session:
-    configuration = Configuration({"model": str(model)}, "test")
-    return Session(read_urdf(BAGS / "arm3.urdf"), configuration, "arm3.urdf")
+    return Session(ARM, Configuration({"model": str(model)}, "test"), "arm3.urdf")
 
 
 def of_another_robot(result: dict[str, Any]) -> None:
@@ -166,12 +166,6 @@ def test_what_is_no_json_object_is_refused(text: str, tmp_path: Path) -> None:
         session_from(path)
 
 
-def test_a_missing_estimate_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere.json: the model cannot be read"):
-        session_from(tmp_path / "nowhere.json")
-
-
-ARM = read_urdf(BAGS / "arm3.urdf")
 REVERSED = RecordingFault(cause=Cause(kind="sign", sentence="the efforts are reversed"))
 SHIFTED = RecordingFault(cause=Cause(kind="order", sentence="two joints are exchanged"))
 
@@ -184,15 +178,11 @@ def written(folder: Path, *findings: RecordingFault) -> Path:
     return folder / "estimate.json"
 
 
-def session(model: Path) -> Session:
-    return Session(ARM, Configuration({"model": str(model)}), "arm3.urdf")
-
-
 def test_a_model_of_a_doubtful_recording_is_told_first_with_all_reasons(tmp_path: Path) -> None:
     model = written(tmp_path, REVERSED, SHIFTED)
     entry = json.loads(model.read_text())["verdict"]
     assert entry == verdict_entry(recording_verdict([REVERSED, SHIFTED]), [REVERSED, SHIFTED])
-    first = session(model).review.warnings(verdict=recording_verdict((), warnings=["something else"]))[0]
+    first = session_from(model).review.warnings(verdict=recording_verdict((), warnings=["something else"]))[0]
     assert first == f"{model}: this model's verdict is 'doubtful': {REVERSED.sentence}; {SHIFTED.sentence}"
 
 

@@ -14,7 +14,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate
-from geomid_ros.files.models.population import read_population, write_population
+from geomid_ros.files.models.posterior import read_population, write_population
 
 from .estimates import link_estimate
 
@@ -91,13 +91,3 @@ def test_a_covariance_that_is_none_is_refused(tmp_path: Path) -> None:
     write_population(tmp_path / "population.json", broken)
     with pytest.raises(InputError, match="none that robots can have"):
         read_population(tmp_path / "population.json")
-
-
-@pytest.mark.parametrize("text", ["[]", "{}"])
-def test_what_is_no_document_is_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "population.json"
-    path.write_text(text)
-    with pytest.raises(
-        InputError, match=r"population\.json: (the population cannot be read|not a population as geomid writes it)"
-    ):
-        read_population(path)

@@ -55,20 +55,6 @@ def test_the_same_posterior_makes_the_same_bytes(tmp_path: Path, written: Path) 
     assert (tmp_path / "again.npz").read_bytes() == written.read_bytes()
 
 
-@pytest.mark.parametrize("kept", [0.3, 0.999])
-def test_a_torn_file_is_refused(written: Path, kept: float) -> None:
-    content = written.read_bytes()
-    written.write_bytes(content[: int(kept * len(content))])
-    refused(written, "cannot be read")
-
-
-def test_a_flipped_bit_is_refused(written: Path) -> None:
-    content = bytearray(written.read_bytes())
-    content[len(content) // 2] ^= 1
-    written.write_bytes(content)
-    refused(written, "cannot be read")
-
-
 def headed(change: Callable[[dict], None]) -> Callable[[dict], dict]:
     def changed(arrays: dict) -> dict:
         header = json.loads(str(arrays["posterior"]))
@@ -100,29 +86,40 @@ def test_what_no_estimate_can_be_is_refused(written: Path, change: Callable[[dic
     refused(written, reason)
 
 
-def test_compressed_arrays_are_refused_unread(written: Path) -> None:
-    np.savez_compressed(written, posterior=np.zeros(10**6))
-    refused(written, "compressed")
+def flipped(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
 
 
-def test_an_array_that_claims_to_be_larger_than_its_file_is_refused_unmade(written: Path) -> None:
+def claims_more_than_memory(path: Path) -> None:
     content = io.BytesIO()
     np.lib.format.write_array_header_1_0(content, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
-    with zipfile.ZipFile(written, "w") as archive:
+    with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("posterior.npy", content.getvalue())
-    refused(written, "cannot be read")
 
 
-def test_a_member_that_is_no_array_is_refused(written: Path) -> None:
-    with zipfile.ZipFile(written, "a") as archive:
+def with_a_member_that_is_no_array(path: Path) -> None:
+    with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("scales", b"xxx")
-    refused(written, "not an array")
 
 
-def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
-    (tmp_path / POSTERIOR).write_text("{}")
-    refused(tmp_path / POSTERIOR, "cannot be read")
-    refused(tmp_path / "none.npz", "cannot be read")
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 3]), "cannot be read"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-1]), "cannot be read"),
+        (flipped, "cannot be read"),
+        (lambda path: np.savez_compressed(path, posterior=np.zeros(10**6)), "compressed"),
+        (claims_more_than_memory, "cannot be read"),
+        (with_a_member_that_is_no_array, "not an array"),
+        (lambda path: path.write_text("{}"), "cannot be read"),
+        (Path.unlink, "cannot be read"),
+    ],
+)
+def test_a_damaged_file_is_refused(written: Path, damage: Callable[[Path], object], reason: str) -> None:
+    damage(written)
+    refused(written, reason)
 
 
 SIZES = 5, 3
