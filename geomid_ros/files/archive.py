@@ -16,7 +16,7 @@ import hashlib
 import json
 import struct
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -122,27 +122,21 @@ def unarchived(content: bytes) -> dict[str, Any]:
         if isinstance(name := entry.get("bytes"), str) and name in vectors:
             return Stored(vectors[name].tobytes())
         if isinstance(name := entry.get("array"), str) and name in vectors:
-            return Stored(_shaped(vectors[name], from_document(_Reference, entry, "its text:")))
+            shape = from_document(tuple[int, ...], entry.get("shape"), "its text: shape")
+            return Stored(_shaped(vectors[name], shape, entry.get("triangle") is True))
         return entry
 
     return _parsed(text, restored)
 
 
-@dataclass(frozen=True)
-class _Reference:
-    array: str
-    shape: tuple[int, ...]
-    triangle: bool = False
-
-
-def _shaped(vector: AnyArray, reference: _Reference) -> FloatArray:
-    """Array of these numbers in the shape of the ``reference``. Raises ValueError if their count differs."""
-    if not reference.triangle:
-        return vector.reshape(reference.shape)
-    rows, columns = reference.shape
+def _shaped(vector: AnyArray, shape: tuple[int, ...], triangle: bool) -> FloatArray:
+    """Array of these numbers, or with them in its upper triangle. Raises ValueError if their count differs."""
+    if not triangle:
+        return vector.reshape(shape)
+    rows, columns = shape
     if not 0 < rows <= columns or rows * columns - rows * (rows - 1) // 2 != len(vector):
-        raise ValueError(f"{len(vector)} numbers are no triangle of shape {reference.shape}")
-    return from_upper_triangle(vector, reference.shape)
+        raise ValueError(f"{len(vector)} numbers are no triangle of shape {shape}")
+    return from_upper_triangle(vector, shape)
 
 
 def pack(text: str, vectors: Mapping[str, AnyArray]) -> bytes:

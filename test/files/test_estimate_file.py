@@ -27,7 +27,7 @@ from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
-from .estimates import estimate_of, link_estimate
+from .estimates import edited, estimate_of, link_estimate
 from .recordings import BAGS
 
 ARM = read_urdf(BAGS / "arm3.urdf")
@@ -102,47 +102,37 @@ def of_another_robot(result: dict[str, Any]) -> None:
     result["information"]["links"] = [link["name"] for link in result["links"]]
 
 
-def edited(path: list[str | int], value: Any) -> Callable[[dict[str, Any]], None]:
-    def edit(result: dict[str, Any]) -> None:
-        target: Any = result
-        for key in path[:-1]:
-            target = target[key]
-        if value is None:
-            del target[path[-1]]
-        else:
-            target[path[-1]] = value
-
-    return edit
-
-
 NOT_FINITE = base64.b64encode(np.full(20, np.nan, "<f4").tobytes()).decode()
 UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
-    "no links": (edited(["links"], None), "no 'links'"),
-    "no effects": (edited(["effects"], None), "'effects'"),
-    "another format": (edited(["format"], 99), "format 99"),
-    "a link without mass": (edited(["links", 0, "mass"], None), r"links\[0\].mass is not given"),
+    "no links": (edited("links"), "no 'links'"),
+    "no effects": (edited("effects"), "'effects'"),
+    "another format": (edited("format", value=99), "format 99"),
+    "a link without mass": (edited("links", 0, "mass"), r"links\[0\].mass is not given"),
     "a centre in the plane": (
-        edited(["links", 0, "com"], [1.0, 2.0]),
+        edited("links", 0, "com", value=[1.0, 2.0]),
         r"links\[0\].com is .*expected finite numbers, 3",
     ),
-    "information of other links": (edited(["information", "rows"], "AAAAAA=="), "the information on 2 links"),
-    "information that is no base64": (edited(["information", "rows"], "?"), "the information on 2 links"),
-    "information in another order": (edited(["information", "links"], ["link1", "link3"]), "in another order"),
-    "a link twice": (edited(["links", 1, "name"], "link3"), "two links 'link3'"),
+    "information of other links": (edited("information", "rows", value="AAAAAA=="), "the information on 2 links"),
+    "information that is no base64": (edited("information", "rows", value="?"), "the information on 2 links"),
+    "information in another order": (edited("information", "links", value=["link1", "link3"]), "in another order"),
+    "a link twice": (edited("links", 1, "name", value="link3"), "two links 'link3'"),
     "a link merged with another one": (
-        edited(["links", 0, "merged"], ["hand"]),
+        edited("links", 0, "merged", value=["hand"]),
         "'link3' was identified together with",
     ),
     "information that is not finite": (
-        edited(["information", "residuals"], NOT_FINITE),
+        edited("information", "residuals", value=NOT_FINITE),
         "more precise than any measurement",
     ),
-    "a negative mass": (edited(["links", 0, "mass"], -1.0), "the inertia of link 'link3' is not physically consistent"),
-    "an impossible inertia": (
-        edited(["links", 0, "inertia", 0], [9.0, 0.0, 0.0]),
+    "a negative mass": (
+        edited("links", 0, "mass", value=-1.0),
         "the inertia of link 'link3' is not physically consistent",
     ),
-    "negative friction": (edited(["effects", 0, "value"], -0.1), "must be positive"),
+    "an impossible inertia": (
+        edited("links", 0, "inertia", 0, value=[9.0, 0.0, 0.0]),
+        "the inertia of link 'link3' is not physically consistent",
+    ),
+    "negative friction": (edited("effects", 0, "value", value=-0.1), "must be positive"),
     "another robot": (of_another_robot, "another robot.*leg_link3.*link1, link2, link3"),
 }
 

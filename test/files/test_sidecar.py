@@ -15,6 +15,7 @@ from geomid_ros.files.models.effects_file import combined, read_sidecar, write_s
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity, values_of
 
 from .effects import PAYLOAD, effect
+from .estimates import edited
 
 
 def one_of_each() -> list[KnownEffect]:
@@ -52,18 +53,6 @@ def test_it_explains_itself(tmp_path: Path) -> None:
     assert any("level + excess exp(-(v/speed)^2)" in line for line in comments)
     (entry,) = yaml.safe_load(path.read_text())["effects"]
     assert (entry["urdf"], entry["mjcf"]) == (["level"], ["level"])
-
-
-def edited(*path: str | int, value: Any = None) -> Callable[[dict[str, Any]], None]:
-    def edit(content: Any) -> None:
-        for key in path[:-1]:
-            content = content[key]
-        if value is None:
-            del content[path[-1]]
-        else:
-            content[path[-1]] = value
-
-    return edit
 
 
 FIRST = ("effects", 0)

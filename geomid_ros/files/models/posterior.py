@@ -1,4 +1,4 @@
-"""``posterior.npz``, next to ``estimate.json``: the joint posterior of links and effects, and the model's remainder; and
+"""``posterior.npz``, next to ``estimate.json``: joint posterior of links and effects, and the model's remainder; and
 ``population.json``: the distribution of robots of one type, written by ``geomid fleet`` and read as a prior.
 
 The first is a NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format``, ``links`` (``name``,
