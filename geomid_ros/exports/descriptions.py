@@ -298,7 +298,7 @@ def _differences(model: ExportModel, compiled: CompiledMjcf) -> list[str]:
 
 def _with_payload(model: ExportModel, link: str) -> FloatArray:
     """Parameters ``(10,)`` of a link and of the payload found on it, which is a separate link of the URDF."""
-    payload, parameters = model.payload_of(link), model.bodies[link].parameters
+    payload, parameters = model.bodies.get(payload_link(model.tree, link)), model.bodies[link].parameters
     return parameters if payload is None else parameters + payload.parameters
 
 

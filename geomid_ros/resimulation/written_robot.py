@@ -64,7 +64,7 @@ class WrittenRobot:
         self._rest_friction, self._load_friction, self._mean_load = np.zeros(count), np.zeros(count), np.zeros(count)
         self._motion_effects: list[tuple[Effect, Place, Values]] = []
         self._sensor_effects: dict[str, list[tuple[SensorEffect, Values]]] = {}
-        for entry in read_sidecar(files.effects).effects:
+        for entry in read_sidecar(files.effects):
             values = values_of(entry)
             effect = effect_class(entry.effect).from_values(values)
             if isinstance(effect, SensorEffect):

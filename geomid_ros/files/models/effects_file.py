@@ -24,7 +24,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -194,14 +193,6 @@ def _refined(effect: KnownEffect, remaining: dict[tuple[str, str], KnownEffect])
     return KnownEffect(effect.effect, effect.joint, effect.link, parameters)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sidecar:
-    """Effects of the robot called ``robot``."""
-
-    robot: str = ""
-    effects: tuple[KnownEffect, ...]
-
-
 @check.register
 def _check_effect(effect: KnownEffect, where: str) -> None:
     """Refuse an effect of a file that is invalid. Raises InputError beginning with ``where``."""
@@ -278,12 +269,12 @@ def _entry(effect: KnownEffect, alone: KnownEffect) -> dict[str, Any]:
     }
 
 
-def read_sidecar(path: Path) -> Sidecar:
-    """Read a sidecar. Raises InputError naming the file and the key."""
+def read_sidecar(path: Path) -> tuple[KnownEffect, ...]:
+    """Read the effects of a sidecar. Raises InputError naming the file and the key."""
     document = read_yaml(path, "file of effects")
     check_form(document, ("effects",), f"{path}:", "file of effects")
-    sidecar = from_document(Sidecar, document, f"{path}:")
-    for (name, place), count in Counter((e.effect, e.link or e.joint) for e in sidecar.effects).items():
+    effects = from_document(tuple[KnownEffect, ...], document["effects"], f"{path}: effects")
+    for (name, place), count in Counter((e.effect, e.link or e.joint) for e in effects).items():
         if count > 1:
             raise InputError(f"{path}: {name} is listed twice at '{place}'")
-    return sidecar
+    return effects

@@ -142,7 +142,7 @@ def read_remainder(path: Path) -> KnownRemainder | None:
     with _opened(path) as (arrays, header):
         if header.remainder is None:
             return None
-        joints, channels = header.remainder.joints, header.remainder.channels
+        joints, channels = header.remainder["joints"], header.remainder["channels"]
         knots, scales, means, triangles = _numbers(arrays, "knots", (len(joints), 3, 2)), [], [], []
         for place in range(len(channels)):
             size, columns = len(arrays[f"mean_{place}"]), len(arrays[f"scales_{place}"])
@@ -169,18 +169,12 @@ class _Link:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OfRemainder:
-    joints: tuple[str, ...]
-    channels: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Header:
     """Schema of the JSON text."""
 
     links: tuple[_Link, ...]
     effects: tuple[EffectCoordinate, ...]
-    remainder: _OfRemainder | None = None
+    remainder: Mapping[str, tuple[str, ...]] | None = None
 
 
 @contextmanager
