@@ -197,9 +197,7 @@ def _other_differences(model: ExportModel, reference: ExportModel, frame: str) -
     carried = model.tree.subtree(_carrier(model, frame))
     both = model.bodies.keys() & reference.bodies.keys()
     common = [link for link in model.tree.links if link in both and link not in carried]
-    pairs = [(model.bodies[link], reference.bodies[link]) for link in common]
-    same = [np.allclose(one.quantities, other.quantities, rtol=RTOL, atol=RTOL * one.mass) for one, other in pairs]
-    differing = [link for link, is_same in zip(common, same, strict=True) if not is_same]
+    differing = [link for link in common if not _same(model.bodies[link], reference.bodies[link])]
     if not differing:
         return []
     advice = f"identify it with {_weighing(reference, frame)}"
@@ -210,6 +208,10 @@ def _weighing(reference: ExportModel, frame: str) -> str:
     """Return the command that identifies a payload as a separate body."""
     empty = reference.source if reference.estimated else "EMPTY_BAG"
     return f"'geomid payload {empty} LOADED_BAG --frame {frame}'"
+
+
+def _same(one: UncertainInertia, other: UncertainInertia) -> bool:
+    return bool(np.allclose(one.quantities, other.quantities, rtol=RTOL, atol=RTOL * one.mass))
 
 
 def total(terms: Sequence[Summand], what: str) -> UncertainInertia:

@@ -67,14 +67,13 @@ class LoadedModel:
     @staticmethod
     def of(file: EstimateFile) -> LoadedModel:
         """Convert the content of such a file. Raises InputError naming its fault."""
-        information = file.known_information
         models = {reader: fitted_model_of(file, reader) for reader in file.handover}
         fitted = {reader: written.with_payloads_in_links for reader, written in models.items() if written}
         return LoadedModel(
             source=file.source,
             inertias=file.inertias,
             effects=tuple(file.known_effects),
-            links_information=information,
+            links_information=file.known_information,
             merged=file.merged,
             warning=file.warning,
             fitted_models=fitted,
@@ -209,10 +208,9 @@ class LoadedModel:
 
     def shape_mask(self, model: MeasurementModel) -> BoolArray:
         """Boolean mask ``(coefficients,)`` of ``model``: False for another shape of a mechanism that is known."""
-        is_known = [(c.effect, c.place_name, c.parameter) in self._coefficients for c in model.coefficients]
-        mechanisms = {c.mechanism for c, known in zip(model.coefficients, is_known, strict=True) if known}
-        pairs = zip(model.coefficients, is_known, strict=True)
-        return np.array([known or c.mechanism not in mechanisms for c, known in pairs], dtype=bool)
+        pairs = [(c.mechanism, (c.effect, c.place_name, c.parameter) in self._coefficients) for c in model.coefficients]
+        mechanisms = {mechanism for mechanism, is_known in pairs if is_known}
+        return np.array([is_known or mechanism not in mechanisms for mechanism, is_known in pairs], dtype=bool)
 
     def _check_merged(self, model: MeasurementModel) -> None:
         """Raise InputError if a body consists of other links than the body of this name in the file. Links without a
