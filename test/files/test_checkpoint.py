@@ -261,6 +261,12 @@ class TestCrafted:
         with pytest.raises(InputError):
             read(signed(len(header).to_bytes(8, "little") + header + bytes(8)))
 
+    @pytest.mark.parametrize("told", [b"[1]", b"[3]"])
+    def test_a_vector_of_another_length_than_is_said(self, told: bytes) -> None:
+        body = pack("{}", {"x": np.zeros(2)})[:-32]
+        with pytest.raises(InputError, match="describes other vectors"):
+            unpack(signed(body.replace(b"[2]", told)))
+
     @settings(max_examples=100, deadline=None)
     @given(st.data())
     def test_nothing_but_our_own_errors(self, data: st.DataObject) -> None:
