@@ -57,7 +57,7 @@ def test_the_document_says_what_the_estimate_says() -> None:
         )
         assert written["from_data"] == link.from_data
         assert written["merged"] == list(link.merged)
-    assert result["effects"][0]["value"] == EFFECT.value
+    assert (result["effects"][0]["value"], result["effects"][0]["from_data"]) == (EFFECT.value, EFFECT.from_data)
     assert result["rms"] == {
         "nominal": {"joint1": 1.0, "joint2": None},
         "train": {"joint1": 0.5, "joint2": None},
