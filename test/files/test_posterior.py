@@ -1,4 +1,4 @@
-"""``posterior.npz`` and ``population.json`` are read as they were written; what nobody can have written is refused in one
+"""``posterior.npz`` and ``population.json`` are read as they were written; what cannot have been is refused in one
 sentence."""
 
 from __future__ import annotations
