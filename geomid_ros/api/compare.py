@@ -160,7 +160,7 @@ def _urdf_values(model: ExportModel, result: EstimateFile) -> RobotValues:
             raise _other_robot(model.source, model.tree.links, result.source, result.values.links)
         if not parts:
             raise InputError(f"{model.source}: link '{name}' has no <inertial>, and {result.source} has identified it")
-        terms = [Summand(model.bodies[link], model.placement(link, name)) for link in parts]
+        terms = [Summand(model.bodies[link], model.placement(link, name), 1.0) for link in parts]
         inertia = total(terms, f"{model.source}: link '{name}'")
         links[name] = replace(inertia, std=np.zeros(10), merged=body.merged)
     return RobotValues(links=links, effects=model.effects)

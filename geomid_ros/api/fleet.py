@@ -13,7 +13,7 @@ from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood, population_and_members
 from geomid_ros.files.models.estimate_file import EstimateFile
-from geomid_ros.files.models.population import write_population
+from geomid_ros.files.models.posterior import write_population
 from geomid_ros.fleet.fleet import Cluster, Fleet, FleetRobot
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
 from geomid_ros.fleet.summary_store import Store, changes

@@ -45,7 +45,7 @@ from geomid_ros.types import FloatArray
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from geomid_ros.resimulation.closed_loop import Tracking
+    from geomid_ros.resimulation.resimulate import Tracking
 
 
 DELAY = "command.delay"

@@ -33,7 +33,7 @@ from geomid_ros.resimulation.resimulate import Resimulated
 from geomid_ros.signals.ledger import Account
 
 if TYPE_CHECKING:
-    from geomid_ros.resimulation.closed_loop import Tracking
+    from geomid_ros.resimulation.resimulate import Tracking
 
 
 _MOST_REASONS = 5

@@ -19,13 +19,14 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 from xml.parsers.expat import ExpatError
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.exports import formats
+from geomid_ros.exports.formats import Export
 from geomid_ros.exports.model import ExportModel, payload_link
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import joint_attributes, of_followers, tilted_gravity, unrepresentable
@@ -38,11 +39,6 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.urdf_tree import MOST_URDF_BYTES, masters
 from geomid_ros.resimulation.written_robot import CompiledMjcf, compile_mjcf
 from geomid_ros.types import FloatArray
-
-if TYPE_CHECKING:
-    from geomid_ros.exports.formats import Export
-    from geomid_ros.exports.model import ExportModel
-
 
 _MOVEIT_NOTE = (
     "What reads it: MoveIt plans by limits alone; its DynamicsSolver, and ros2_control's controllers that compute",
@@ -302,7 +298,7 @@ def _differences(model: ExportModel, compiled: CompiledMjcf) -> list[str]:
 
 def _with_payload(model: ExportModel, link: str) -> FloatArray:
     """Parameters ``(10,)`` of a link and of the payload found on it, which is a separate link of the URDF."""
-    payload, parameters = model.payload_of(link), model.bodies[link].parameters
+    payload, parameters = model.bodies.get(payload_link(model.tree, link)), model.bodies[link].parameters
     return parameters if payload is None else parameters + payload.parameters
 
 

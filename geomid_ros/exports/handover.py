@@ -34,7 +34,6 @@ from geomid_ros.types import FloatArray
 
 Attributes: TypeAlias = dict[tuple[str, str], float]
 """Numbers of a description by joint and ``ELEMENT/ATTRIBUTE``."""
-_PAYLOAD = "/payload"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +124,7 @@ def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
         raise InputError(f"the written MJCF: MuJoCo does not take it ({error})") from error
     inertias = dict.fromkeys(robot.body_names, np.zeros(10))
     for name, parameters in body_inertias(model).items():
-        link = {"world_link": "world"}.get(name, name.removesuffix(_PAYLOAD))
+        link = {"world_link": "world"}.get(name, name.removesuffix("/payload"))
         if (body := robot.body_of(link)) is not None:
             placed = robot.fixed_placement(link, body)
             inertias[body] = inertias[body] + pseudo_inertia.moved(parameters, placed)
@@ -252,24 +251,22 @@ class FileTest:
         """Sentences on what the file lacks: that it lost most of what the estimate gained, and on the other worse
         channels, which the corrected file or the full estimate predicts better: the sensor errors are beside the file,
         or it cannot represent some effects."""
-        return [*self._lost, *(sentence for sentence, as_estimate in self._remarks if not as_estimate)]
+        return [sentence for sentence, as_estimate in self._remarks if not as_estimate]
 
     @property
-    def _lost(self) -> Iterator[str]:
+    def _remarks(self) -> Iterator[tuple[str, bool]]:
         """Yield a sentence if the file with the sensor errors is nearer to the given description than to the estimate,
-        by the ratios of their RMS."""
+        by the ratios of their RMS; and one for each worse channel. True if the corrected file and the full estimate are
+        worse there, too."""
         kinds = self.corrected, self.full_rms, self.given
         file, estimate, given = (float(np.nansum(list(kind.values()))) for kind in kinds)
         if estimate < given and file**2 > estimate * given:
-            yield (
+            sentence = (
                 f"{self.name} predicts less well than the estimate that it is from: RMS {file:.3g}, estimate "
                 f"{estimate:.3g}, given {given:.3g} (summed over the channels); it cannot represent all effects; "
                 "choose another format (--for), or use estimate.json"
             )
-
-    @property
-    def _remarks(self) -> Iterator[tuple[str, bool]]:
-        """Yield a sentence for each worse channel; True if the corrected file and the full estimate are worse, too."""
+            yield sentence, False
         for name, rms in self.alone.items():
             limit, corrected = WORSE * self.given[name], self.corrected[name]
             if not rms > limit:

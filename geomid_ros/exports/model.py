@@ -99,10 +99,6 @@ class ExportModel:
         """Return the homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
         return np.linalg.inv(self.placements[frame]) @ self.placements[link]
 
-    def payload_of(self, link: str) -> UncertainInertia | None:
-        """Payload that ``geomid gap`` found on a link: a link of the URDF, fixed to it; None if there is none."""
-        return self.bodies.get(payload_link(self.tree, link))
-
     def check_link(self, link: str, kind: str) -> None:
         """Raise InputError if there is no such link."""
         if link not in self.tree.links:

@@ -30,11 +30,11 @@ _AS_INDEPENDENT = "± counts both estimates' errors as independent: too large if
 
 class Summand(NamedTuple):
     """Body in a sum: the homogeneous ``placement (4, 4)`` of its frame in the frame of the sum; ``sign`` is -1 to
-    subtract it."""
+    subtract it, else 1."""
 
     inertial: UncertainInertia
     placement: FloatArray
-    sign: float = 1.0
+    sign: float
 
 
 def attached(model: ExportModel, frame: str) -> Export:
@@ -97,7 +97,7 @@ def each_link(model: ExportModel) -> list[Export]:
                 f"{model.source}: link '{name}': {_not_physical(body.parameters)}; correct its <inertial>, or compute "
                 "it from the link's shapes ('geomid prior URDF --mass KG'); 'geomid identify' repairs it itself"
             )
-        inertial = total([Summand(body, np.eye(4))], f"{model.source}: link '{name}'")
+        inertial = total([Summand(body, np.eye(4), 1.0)], f"{model.source}: link '{name}'")
         exports.append(Export(f"link '{name}'", name, inertial, _link_notes(model, body)))
     return exports
 
@@ -343,5 +343,5 @@ def identify_payload_at(
             f"no --frame (payload.frame) is given: the payload is identified at '{link}', the last moving link"
         )
     weighed = identify_payload(session, empty, loaded, link, gain)
-    placed = Summand(weighed, session.robot.fixed_placement(link, frame or link))
+    placed = Summand(weighed, session.robot.fixed_placement(link, frame or link), 1.0)
     return Payload(frame=frame or link, weighed=weighed, inertial=total([placed], f"the payload at '{frame or link}'"))

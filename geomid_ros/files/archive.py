@@ -14,16 +14,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import struct
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal, TypeVar
+from dataclasses import fields
+from typing import Any, TypeVar
 
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.schema import Stored, from_document, from_upper_triangle, triangle_of
+from geomid_ros.files.schema import Stored, from_document, from_upper_triangle, upper_triangle
 from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
 from geomid_ros.types import AnyArray, FloatArray
 
@@ -54,13 +53,8 @@ def decoded(kind: type[T], content: bytes, meaning: Mapping[str, Any]) -> T:
     if document.get("format") != FORMAT:
         raise InputError(f"has format {document.get('format')!r:.80}, this version reads format {FORMAT}")
     _require_meaning(document.get("meaning"), meaning)
-    meanings = from_document(_Reasons, document, "its text:").meanings
+    meanings = from_document(dict[str, Meaning], document.get("meanings"), "its text: meanings")
     return from_document(kind, _with_meanings(document, meanings), "its text:")
-
-
-@dataclass(frozen=True)
-class _Reasons:
-    meanings: Mapping[str, Meaning]
 
 
 def _with_meanings(value: Any, meanings: Mapping[str, Meaning]) -> Any:
@@ -109,7 +103,7 @@ def archived(document: Mapping[str, Any]) -> bytes:
             return {"bytes": name}
         if isinstance(value, np.ndarray):
             triangle = value.ndim == 2 and 0 < len(value) <= value.shape[1] and not np.any(np.tril(value, -1))
-            vectors[name] = (value[triangle_of(value.shape)] if triangle else value.ravel()).astype(_DTYPES["F64"])
+            vectors[name] = (upper_triangle(value) if triangle else value.ravel()).astype(_DTYPES["F64"])
             return {"array": name, "shape": value.shape} | ({"triangle": True} if triangle else {})
         return (
             value.item()
@@ -128,27 +122,21 @@ def unarchived(content: bytes) -> dict[str, Any]:
         if isinstance(name := entry.get("bytes"), str) and name in vectors:
             return Stored(vectors[name].tobytes())
         if isinstance(name := entry.get("array"), str) and name in vectors:
-            return Stored(_shaped(vectors[name], from_document(_Reference, entry, "its text:")))
+            shape = from_document(tuple[int, ...], entry.get("shape"), "its text: shape")
+            return Stored(_shaped(vectors[name], shape, entry.get("triangle") is True))
         return entry
 
     return _parsed(text, restored)
 
 
-@dataclass(frozen=True)
-class _Reference:
-    array: str
-    shape: tuple[int, ...]
-    triangle: bool = False
-
-
-def _shaped(vector: AnyArray, reference: _Reference) -> FloatArray:
-    """Array of these numbers in the shape of the ``reference``. Raises ValueError if their count differs."""
-    if not reference.triangle:
-        return vector.reshape(reference.shape)
-    rows, columns = reference.shape
+def _shaped(vector: AnyArray, shape: tuple[int, ...], triangle: bool) -> FloatArray:
+    """Array of these numbers, or with them in its upper triangle. Raises ValueError if their count differs."""
+    if not triangle:
+        return vector.reshape(shape)
+    rows, columns = shape
     if not 0 < rows <= columns or rows * columns - rows * (rows - 1) // 2 != len(vector):
-        raise ValueError(f"{len(vector)} numbers are no triangle of shape {reference.shape}")
-    return from_upper_triangle(vector, reference.shape)
+        raise ValueError(f"{len(vector)} numbers are no triangle of shape {shape}")
+    return from_upper_triangle(vector, shape)
 
 
 def pack(text: str, vectors: Mapping[str, AnyArray]) -> bytes:
@@ -168,13 +156,6 @@ def pack(text: str, vectors: Mapping[str, AnyArray]) -> bytes:
     return content + hashlib.sha256(content).digest()
 
 
-@dataclass(frozen=True)
-class _Tensor:
-    dtype: Literal["F64", "U8"]
-    shape: tuple[int, ...]
-    data_offsets: tuple[int, ...]
-
-
 def unpack(content: bytes) -> tuple[str, dict[str, AnyArray]]:
     """Decode a file into its text and vectors. Raises InputError for content that :func:`pack` cannot have made."""
     body, checksum = content[:-_DIGEST], content[-_DIGEST:]
@@ -185,24 +166,18 @@ def unpack(content: bytes) -> tuple[str, dict[str, AnyArray]]:
         raise InputError("the header is longer than the file, or than is allowed")
     start, numbers = body[_LENGTH.size : _LENGTH.size + length], body[_LENGTH.size + length :]
     header = _parsed(start.decode("utf-8", errors="replace"))
-    text = from_document(_Texts, header.pop(_TEXTS, None), "the header:").document
     header.pop(_CHECKSUM, None)
-    vectors, end = {}, 0
-    for name, entry in header.items():
-        tensor = from_document(_Tensor, entry, f"the header: {name}")
-        size = math.prod(tensor.shape)
-        begin, end = end, end + _DTYPES[tensor.dtype].itemsize * size
-        if tensor != _Tensor(tensor.dtype, (size,), (begin, end)) or end > len(numbers):
-            raise InputError(f"the header does not describe {name!r} as a vector that is there")
-        vectors[name] = np.frombuffer(numbers[begin:end], _DTYPES[tensor.dtype])
-    if end != len(numbers):
-        raise InputError(f"{len(numbers)} bytes of numbers, {end} are described")
+    try:
+        text = str(header.pop(_TEXTS)["document"])
+        vectors = {
+            name: np.frombuffer(numbers[slice(*tensor["data_offsets"])], _DTYPES[tensor["dtype"]])
+            for name, tensor in header.items()
+        }
+    except (LookupError, TypeError, ValueError) as error:
+        raise InputError(f"the header does not describe its text and vectors ({error!r})") from error
+    if pack(text, vectors) != content:
+        raise InputError("the header describes other vectors than those that are there")
     return text, vectors
-
-
-@dataclass(frozen=True)
-class _Texts:
-    document: str
 
 
 def _parsed(text: str, restored: Callable[[dict[str, Any]], Any] | None = None) -> dict[str, Any]:

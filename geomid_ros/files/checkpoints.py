@@ -43,7 +43,7 @@ class Checkpoint:
         accounts: Accounts of the ledger, by topic.
         warm: The last estimate.
         solving: Checksum of everything but the rows that the estimate depends on.
-        number: Increases from checkpoint to checkpoint.
+        number: Increases from checkpoint to checkpoint; of a written one.
         findings: Suspected faults of the recording that the rows are from.
         carried: State of the payload watch if something is carried.
     """
@@ -53,17 +53,9 @@ class Checkpoint:
     accounts: Mapping[str, Account] = field(default_factory=dict)
     warm: WarmStart | None = None
     solving: str = ""
-    number: int = 0
+    number: int | None = None
     findings: tuple[RecordingFault, ...] = ()
     carried: WatchMemory | None = None
-
-
-@dataclass(frozen=True)
-class Restored:
-    """The restored checkpoint, None if there is none, and a sentence for each file that could not be used."""
-
-    checkpoint: Checkpoint | None = None
-    problems: tuple[str, ...] = ()
 
 
 def last_meaning(folder: Path) -> Mapping[str, Any]:
@@ -72,9 +64,8 @@ def last_meaning(folder: Path) -> Mapping[str, Any]:
     for name in _NAMES:
         with suppress(InputError):
             documents.append(unarchived(read_bytes(folder / name, "checkpoint")))
-    numbers = [number if isinstance(number := document.get("number"), int) else -1 for document in documents]
-    meaning = documents[numbers.index(max(numbers))].get("meaning")
-    return meaning if isinstance(meaning, dict) else {}
+    newest = max(documents, key=lambda document: number if isinstance(number := document.get("number"), int) else -1)
+    return meaning if isinstance(meaning := newest.get("meaning"), dict) else {}
 
 
 class CheckpointFolder:
@@ -91,7 +82,7 @@ class CheckpointFolder:
         numbers = sum((len(channel.columns) + 1) ** 2 + 1 for channel in channels)
         self._limit = 2 * MOST_HEADER + 8 * folds * REGIMES * numbers  # maximum size of a checkpoint [bytes]
         self._number = 0
-        self._next = _NAMES[0]
+        self._next = 0  # of the names
         self._in_the_way = ""
         try:
             make_folder(path)
@@ -113,29 +104,32 @@ class CheckpointFolder:
         """Release the folder for another node."""
         os.close(self._lock)
 
-    def restore(self, use: Callable[[Checkpoint], None]) -> Restored:
+    def restore(self, use: Callable[[Checkpoint], None]) -> tuple[Checkpoint | None, tuple[str, ...]]:
         """Restore the newest checkpoint that is intact and of this robot and configuration, by calling ``use``.
 
         ``use`` raises InputError for a checkpoint that it cannot use. Such files are renamed, so that nothing
         overwrites them. Only the newest renamed files are kept.
+
+        Returns:
+            The restored checkpoint, None if there is none, and a sentence for each file that could not be used.
         """
         # Temporary files of a process that was killed while writing.
         _remove(file for name in _NAMES for file in self.path.glob(f".{name}.*"))
         checkpoints, problems = self._candidates()
         used = None
-        for name in sorted(checkpoints, key=lambda name: -checkpoints[name].number):
+        for name in sorted(checkpoints, key=lambda name: checkpoints[name].number or 0, reverse=True):
             try:
                 use(checkpoints[name])
             except InputError as error:
                 problems[name] = str(error)
                 continue
-            used, self._number = checkpoints[name], checkpoints[name].number
-            self._next = _other(name)
+            used, self._number = checkpoints[name], checkpoints[name].number or 0
+            self._next = 1 - _NAMES.index(name)
             break
         sentences = tuple(self._set_aside(name, problem) for name, problem in problems.items())
         # Sorting the renamed files by name sorts them by time.
         _remove(sorted(file for name in _NAMES for file in self.path.glob(f"{_ASIDE}*-{name}"))[:-_MOST_ASIDE])
-        return Restored(used, sentences)
+        return used, sentences
 
     def _candidates(self) -> tuple[dict[str, Checkpoint], dict[str, str]]:
         """Readable checkpoints, and the problems of the other files, by name."""
@@ -165,14 +159,14 @@ class CheckpointFolder:
         """Write a checkpoint over the older generation. Raises GeomidError naming the file."""
         if self._in_the_way:
             raise GeomidError(self._in_the_way)
-        path = self.path / self._next
+        path = self.path / _NAMES[self._next]
         try:
             content = encoded(vars(replace(checkpoint, number=self._number + 1)), checkpoint.accounts)
         except InputError as error:
             raise GeomidError(f"{path}: cannot be written ({error})") from error
         write_bytes(path, content)
         self._number += 1
-        self._next = _other(self._next)
+        self._next = 1 - self._next
 
 
 def _remove(files: Iterable[Path]) -> None:
@@ -180,11 +174,6 @@ def _remove(files: Iterable[Path]) -> None:
     for file in files:
         with suppress(OSError):
             file.unlink()
-
-
-def _other(name: str) -> str:
-    """File name of the other generation."""
-    return _NAMES[1 - _NAMES.index(name)]
 
 
 def _renamed(path: Path) -> str:

@@ -190,13 +190,14 @@ def triangle_from_base64(text: str, form: str, size: int) -> FloatArray:
 def from_upper_triangle(numbers: AnyArray, shape: tuple[int, ...]) -> FloatArray:
     """Matrix with these numbers in its upper triangle, row by row. No file can claim a large one without them."""
     matrix = np.zeros(shape)
-    matrix[triangle_of(shape)] = numbers
+    matrix[np.triu_indices(shape[0], 0, shape[1])] = numbers
     return matrix
 
 
-def triangle_of(shape: tuple[int, ...]) -> tuple[AnyArray, ...]:
-    """Indices of an upper triangle, row by row."""
-    return np.triu_indices(shape[0], 0, shape[1])
+def upper_triangle(matrix: AnyArray) -> AnyArray:
+    """Numbers of an upper triangle, row by row."""
+    numbers: AnyArray = matrix[np.triu_indices(len(matrix), 0, matrix.shape[1])]
+    return numbers
 
 
 def _at(where: str, name: str) -> str:

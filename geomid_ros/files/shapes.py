@@ -99,7 +99,8 @@ class ShapeReader:
                     if shape is None:
                         self._problems[_NO_VOLUME].append(f"{kind} {tag} of {name}")
                     else:
-                        yield shape.moved(_placement(element, where))
+                        position, axes = origin_of(element, where)
+                        yield shape.moved(pseudo_inertia.change_of_frame(axes, position))
 
     def _mesh(self, geometry: Element, link: str, where: str) -> _Shape | None:
         scale = read_numbers(geometry, "mesh", ("scale",), [1.0, 1.0, 1.0], where)
@@ -165,12 +166,6 @@ def _primitive(geometry: Element, tag: str, where: str) -> _Shape | None:
         radius, length = sizes
         return _Shape(shapes.cylinder(radius, length), creation.cylinder(radius, length, sections=_SECTIONS), tag)
     return _Shape(shapes.sphere(sizes[0]), creation.icosphere(_SUBDIVISIONS, sizes[0]), tag)
-
-
-def _placement(element: Element, where: str) -> FloatArray:
-    """Pose ``(4, 4)`` of a shape, from its ``<origin>``."""
-    position, axes = origin_of(element, where)
-    return pseudo_inertia.change_of_frame(axes, position)
 
 
 class MeshFinder:

@@ -164,8 +164,6 @@ def _trajectory(source: str, joints: tuple[str, ...], rows: Sequence[_Row]) -> T
         raise InputError(f"{source}: joint_names must name every joint once, and at least one")
     if len(rows) < 2:
         raise InputError(f"{source}: {len(rows)} points, expected at least two")
-    if any(len(numbers) != len(_MOTION) for _, numbers in rows):
-        raise InputError(f"{source}: {', '.join(_MOTION)} must be lists of numbers")
     accelerated = bool(rows[0][1][2])
     widths = [len(joints), len(joints), len(joints) if accelerated else 0]
     for index, (time, numbers) in enumerate(rows):
@@ -215,8 +213,10 @@ def _row(point: Any, where: str) -> _Row:
     try:
         time = point["time_from_start"]
         seconds = float(time["sec"]) + 1e-9 * float(time["nanosec"])
-        lists = [point.get(name) or [] for name in _MOTION]
-        return seconds, [[float(number) for number in values] for values in lists if isinstance(values, list)]
+        lists = [point.get(name) or () for name in _MOTION]
+        if any(isinstance(values, str) for values in lists):
+            raise TypeError("a text in place of a list")  # noqa: TRY301
+        return seconds, [[float(number) for number in values] for values in lists]
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         expected = f"lists of numbers ({', '.join(_MOTION)}), and time_from_start: {{sec, nanosec}}"
         raise InputError(

@@ -85,8 +85,7 @@ class Checkpoints:
         except GeomidError as error:
             self._problem = str(error)
             return
-        start = disk.restore(session.restore)
-        self.restored, self._unusable = start.checkpoint, start.problems
+        self.restored, self._unusable = disk.restore(session.restore)
         began = ["started without rows"] if self._unusable else []
         if self.restored is not None:
             began = [f"resumed from checkpoint {self.restored.number} with {self.restored.memory.summary.rows} rows"]

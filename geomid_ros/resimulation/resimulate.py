@@ -1,11 +1,12 @@
-"""Resimulation of recordings in short windows, from the written files before the findings and after."""
+"""Resimulation of recordings from written files: in short windows, before the findings and after; and of whole
+recordings from their commands, with a fitted controller."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -26,79 +27,59 @@ HORIZON = 0.1  # [s]
 _MOST_STEPS = 30_000  # of all windows of a segment together; beyond, only evenly spaced windows are simulated
 
 
-@dataclass(frozen=True, eq=False)
-class Windows:
-    """Windows of one segment, each of ``intervals`` sampling periods; ``starts (W,)`` index its samples."""
-
-    segment: UniformSegment
-    starts: IntArray
-    intervals: int
-
-    @staticmethod
-    def of(segment: UniformSegment, step: float) -> Windows:
-        """Choose the windows to simulate in steps of ``step`` [s]."""
-        intervals = max(1, round(HORIZON / segment.period))
-        starts = np.arange(0, len(segment.times) - intervals, intervals)
-        affordable = max(1, int(_MOST_STEPS * step / (intervals * segment.period)))
-        return Windows(segment, starts[:: max(1, -(-len(starts) // affordable))], intervals)
-
-    @property
-    def samples(self) -> IntArray:
-        """Indices of each window's samples after its start ``(W, intervals)``."""
-        return self.starts[:, None] + 1 + np.arange(self.intervals)
-
-
-@dataclass(frozen=True, eq=False)
-class WindowStates:
-    """Result of simulated windows: the joints' ``position, velocity (W, intervals, J)`` at the samples, and the mean
-    sensor readings over each window, ``mean_wrenches (W, values)``."""
-
-    position: FloatArray
-    velocity: FloatArray
-    mean_wrenches: FloatArray
-
-
 class WindowSimulation:
-    """Simulation of windows on one robot; :meth:`run` accepts a disturbance of the efforts."""
+    """Simulation of windows of one ``segment`` on one ``robot``; :meth:`run` accepts a disturbance of the efforts."""
 
-    def __init__(self, robot: WrittenRobot, windows: Windows) -> None:
-        self._robot = robot
-        self.windows = windows
-        period, times = windows.segment.period, windows.segment.times
+    def __init__(self, robot: WrittenRobot, segment: UniformSegment, starts: IntArray, intervals: int) -> None:
+        """Prepare windows of ``intervals`` sampling periods each; ``starts (W,)`` index the segment's samples."""
+        self.robot, self.segment, self._starts = robot, segment, starts
+        self.ends = starts + intervals
+        """Indices of the last sample of each window ``(W,)``."""
         # Integration steps between two samples, none longer than the robot's step.
-        self._substeps = max(1, int(np.ceil(period / robot.step - 1e-9)))
-        self.step = period / self._substeps
-        middles = period * (np.arange(windows.intervals * self._substeps) + 0.5) / self._substeps
-        self.instants = times[windows.starts, None] + middles
+        self._substeps = max(1, int(np.ceil(segment.period / robot.step - 1e-9)))
+        self.step = segment.period / self._substeps
+        middles = segment.period * (np.arange(intervals * self._substeps) + 0.5) / self._substeps
+        self.instants = segment.times[starts, None] + middles
         """Middles of the integration steps of each window ``(W, steps)`` [s]."""
 
     @cached_property
-    def driving_efforts(self) -> FloatArray:
+    def _driving_efforts(self) -> FloatArray:
         """Measured efforts, converted to drive the joints in MuJoCo, in the middle of each step ``(W, steps, J)``."""
-        robot, samples, times = self._robot, self.windows.segment.samples, self.windows.segment.times
-        true_effort = robot.true_effort(interpolated(times, samples.effort, self.instants + robot.delay))
-        return robot.driving_effort(true_effort, motion_at(self.windows.segment, self.instants))
+        robot, segment = self.robot, self.segment
+        measured = interpolated(segment.times, segment.samples.effort, self.instants + robot.delay)
+        return robot.driving_effort(robot.true_effort(measured), motion_at(segment, self.instants))
 
     @cached_property
     def _states(self) -> tuple[FloatArray, FloatArray]:
         """MuJoCo's positions and velocities at the windows' starts, each ``(W, nv)``."""
-        robot, stretch, starts = self._robot, self.windows.segment, self.windows.starts
+        robot, segment, starts = self.robot, self.segment, self._starts
         position, velocity = np.zeros((2, len(starts), robot.model.nv))
-        samples = stretch.samples.select(starts)
+        samples = segment.samples.select(starts)
         position[:, robot.dofs], velocity[:, robot.dofs] = samples.position, samples.velocity
         if robot.gears:
             gears = list(robot.gears)
-            deflection, rate, _ = filtered(robot.gear_deflections(stretch.samples), GAP_CUTOFF, stretch.period)
+            deflection, rate, _ = filtered(robot.gear_deflections(segment.samples), GAP_CUTOFF, segment.period)
             position[:, gears], velocity[:, gears] = deflection[starts], rate[starts]
         return position, velocity
 
-    def run(self, disturbance: FloatArray | float = 0.0, driving_efforts: FloatArray | None = None) -> WindowStates:
-        """Simulate under the measured efforts, or ``driving_efforts (W, steps, J)``, plus a disturbance of that
-        shape."""
-        efforts = (self.driving_efforts if driving_efforts is None else driving_efforts) + disturbance
-        position, velocity, sensed = self._robot.rollout(*self._states, efforts, self.step)
+    @cached_property
+    def undisturbed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Result of :meth:`run` under the measured efforts."""
+        return self.run()
+
+    def run(
+        self, disturbance: FloatArray | float = 0.0, driving_efforts: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Simulate under the measured efforts, or ``driving_efforts (W, steps, J)``, plus a disturbance of that shape.
+
+        Returns:
+            Positions and velocities of the joints at the samples ``(W, intervals, J)``, and the mean sensor readings
+            over each window ``(W, values)``.
+        """
+        efforts = (self._driving_efforts if driving_efforts is None else driving_efforts) + disturbance
+        position, velocity, sensed = self.robot.rollout(*self._states, efforts, self.step)
         at_samples = slice(self._substeps - 1, None, self._substeps)
-        return WindowStates(position[:, at_samples], velocity[:, at_samples], sensed.mean(axis=1))
+        return position[:, at_samples], velocity[:, at_samples], sensed.mean(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,33 +145,34 @@ class WindowErrors:
         ]
         return np.concatenate([np.zeros(0, dtype=bool), *columns])
 
-    def _measured(self, stretch: UniformSegment, sensor: WrenchSensor) -> FloatArray:
-        measured = stretch.samples.wrenches[:, self._sensors[sensor], sensor.axis_indices]
+    def _measured(self, segment: UniformSegment, sensor: WrenchSensor) -> FloatArray:
+        measured = segment.samples.wrenches[:, self._sensors[sensor], sensor.axis_indices]
         return np.asarray(sensor.sign * measured)
 
-    def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: WindowStates) -> FloatArray:
+    def of(self, simulation: WindowSimulation) -> FloatArray:
         """Measured minus simulated quantities ``(W, channels)``."""
-        velocity = windows.segment.samples.velocity[windows.samples[:, -1]] - simulated.velocity[:, -1]
-        motion = Motion(motion_at(windows.segment, instants).states.mean(axis=2))
+        segment, robot, instants = simulation.segment, simulation.robot, simulation.instants
+        _, velocity, mean_wrenches = simulation.undisturbed
+        motion = Motion(motion_at(segment, instants).states.mean(axis=2))
         wrenches = [
-            interpolated(windows.segment.times, self._measured(windows.segment, sensor), instants).mean(axis=1)
-            - robot.wrench(simulated.mean_wrenches, sensor)[:, sensor.axis_indices]
+            interpolated(segment.times, self._measured(segment, sensor), instants).mean(axis=1)
+            - robot.wrench(mean_wrenches, sensor)[:, sensor.axis_indices]
             - robot.wrench_error(motion, sensor)
             for sensor in self._sensors
         ]
-        return np.hstack([velocity, *wrenches])
+        return np.hstack([segment.samples.velocity[simulation.ends] - velocity[:, -1], *wrenches])
 
-    def of_noise(self, simulation: WindowSimulation, robot: WrittenRobot, undisturbed: WindowStates) -> FloatArray:
+    def of_noise(self, simulation: WindowSimulation) -> FloatArray:
         """Changes due to noise in the efforts and wrenches ``(draws W, channels)``."""
-        random = np.random.default_rng(0)
+        random, robot = np.random.default_rng(0), simulation.robot
+        _, undisturbed, mean_wrenches = simulation.undisturbed
         changes: list[FloatArray] = []
         for _ in range(_DRAWS):
             noise = self._noise.at(simulation.instants, random.uniform(0.0, self._noise.duration))
-            disturbed = simulation.run(noise[..., : self._joints] / robot.gain)
-            velocity = disturbed.velocity[:, -1] - undisturbed.velocity[:, -1]
-            change = disturbed.mean_wrenches - undisturbed.mean_wrenches
+            _, velocity, disturbed = simulation.run(noise[..., : self._joints] / robot.gain)
+            change = disturbed - mean_wrenches
             wrenches = [robot.wrench(change, sensor)[:, sensor.axis_indices] for sensor in self._sensors]
-            changes.append(np.hstack([velocity, *wrenches]))
+            changes.append(np.hstack([velocity[:, -1] - undisturbed[:, -1], *wrenches]))
             changes[-1][:, self._joints :] -= noise[..., self._joints :].mean(axis=1)
         return np.concatenate(changes)
 
@@ -309,7 +291,9 @@ def resimulate(
     parts = uniform_segments(recordings)
     if not parts:
         raise NotSimulatedError("the recording is too short")
-    efforts, evaluated = np.concatenate([part.samples.effort for part in parts]), _evaluated_joints(parts)
+    efforts = np.concatenate([part.samples.effort for part in parts])
+    moves = np.max([np.ptp(part.samples.position, axis=0) for part in parts], axis=0) > _STILL
+    evaluated = np.all(np.isfinite(efforts), axis=0) & moves  # the motion of these joints can be simulated
     if not np.any(evaluated):
         raise NotSimulatedError("no joint moves and has a measured effort")
     robots = loaded_robots((before, after), model.robot.joint_names, efforts)
@@ -333,22 +317,241 @@ def in_units(
 
 
 def _errors(
-    stretch: UniformSegment, errors: WindowErrors, before: WrittenRobot, after: WrittenRobot
+    segment: UniformSegment, errors: WindowErrors, before: WrittenRobot, after: WrittenRobot
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the errors of a segment's windows with the robots before and after the findings, ``(W, channels)`` each,
     and the changes due to noise ``(draws W, channels)``."""
-    windows = Windows.of(stretch, min(before.step, after.step))
-    simulation_before, simulation_after = WindowSimulation(before, windows), WindowSimulation(after, windows)
-    run_after = simulation_after.run()
-    return (
-        errors.of(windows, simulation_before.instants, before, simulation_before.run()),
-        errors.of(windows, simulation_after.instants, after, run_after),
-        errors.of_noise(simulation_after, after, run_after),
-    )
+    intervals = max(1, round(HORIZON / segment.period))
+    starts = np.arange(0, len(segment.times) - intervals, intervals)
+    affordable = max(1, int(_MOST_STEPS * min(before.step, after.step) / (intervals * segment.period)))
+    chosen = starts[:: max(1, -(-len(starts) // affordable))]
+    first, last = (WindowSimulation(robot, segment, chosen, intervals) for robot in (before, after))
+    return errors.of(first), errors.of(last), errors.of_noise(last)
 
 
-def _evaluated_joints(parts: Sequence[UniformSegment]) -> BoolArray:
-    """True for each joint that moves and has a measured effort ``(J,)``: its motion can be simulated."""
-    measured = np.all([np.all(np.isfinite(part.samples.effort), axis=0) for part in parts], axis=0)
-    moves = np.max([np.ptp(part.samples.position, axis=0) for part in parts], axis=0) > _STILL
-    return np.asarray(measured & moves)
+_SEPARATIONS = (0.03, 0.05, 0.08)  # [s] lags at which filtered noise is independent, and the motion nearly the same
+_EXPLAINED = 0.9  # fraction of an effort's variance that a controller must explain
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """Position errors of a simulated robot against the measured one, under the recorded commands.
+
+    Attributes:
+        rms: RMS of the position difference by joint [rad, m]; without the joints whose efforts do not follow from the
+            commands.
+        skipped: Reason why there is no result, else empty.
+    """
+
+    rms: Mapping[str, float]
+    skipped: str = ""
+
+    @property
+    def total(self) -> float:
+        """RMS over the joints [rad, m]."""
+        return float(np.sqrt(np.mean(np.square([*self.rms.values()]))))
+
+
+@dataclass(frozen=True, eq=False)
+class FittedController:
+    """Proportional gain, derivative gain and constant effort of each joint ``(J,)``. ``explains_efforts`` is True if
+    these explain its measured efforts."""
+
+    stiffness: FloatArray
+    damping: FloatArray
+    constant: FloatArray
+    explains_efforts: BoolArray
+
+
+class _Commanded(NamedTuple):
+    """Segment with its set-points; their efforts are the feed-forward."""
+
+    segment: UniformSegment
+    setpoints: Samples
+
+
+def resimulate_closed_loop(
+    model: MeasurementModel,
+    before: ModelFiles,
+    after: ModelFiles,
+    recordings: Sequence[Samples],
+    commands: Sequence[Samples],
+    *,
+    noise: ResidualNoise,
+    cutoff: float,
+) -> Resimulated:
+    """Simulate recordings under their commands.
+
+    The controller is the one that explains the measured efforts best, ``u = feed-forward + k (q_d - q) + d (v_d - v) +
+    constant`` at every joint. A joint whose efforts no such controller explains follows its measured motion.
+
+    Args:
+        model: Model of the robot.
+        before, after: Model files before and after the findings.
+        recordings: Measured samples.
+        commands: Set-points, with the feed-forward as efforts, on the same grid of stamps, from a pipeline with the
+            same settings.
+        noise: Example of the sensors' noise.
+        cutoff: Errors are evaluated below this frequency [Hz]; the cutoff of ``noise``.
+
+    Returns:
+        Errors of the controller's efforts, without the joints whose efforts do not follow from the commands.
+
+    Raises:
+        NotSimulatedError: This robot or recording cannot be simulated so.
+    """
+    parts, robots, controller = _prepared(model, (before, after), recordings, commands)
+    joints = model.robot.joint_names
+    traces = []
+    for part in parts:
+        simulated = (_simulated_effort(part, controller, robot) for robot in robots)
+        traces.append(SimulatedEfforts(part.segment.times, part.segment.samples.effort, *simulated))
+    floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
+    evaluated = controller.explains_efforts & (floor > 0.0)
+
+    def ratios(kind: str) -> dict[str, float]:
+        errors = [trace.measured - getattr(trace, kind) for trace in traces]
+        filtered_errors = [filtered(e, cutoff, p.segment.period)[0] for e, p in zip(errors, parts, strict=True)]
+        return in_units(floor, joints, evaluated, filtered_errors)
+
+    return Resimulated(kind="closed_loop", before=ratios("before"), after=ratios("after"), efforts=traces)
+
+
+def tracking(
+    model: MeasurementModel, files: ModelFiles, recordings: Sequence[Samples], commands: Sequence[Samples]
+) -> Tracking:
+    """Simulate recordings under their commands, with the controller that explains the measured efforts best.
+
+    Args:
+        model: Model of the robot.
+        files: Files of the written model.
+        recordings, commands: As for :func:`resimulate_closed_loop`.
+    """
+    try:
+        parts, (robot,), controller = _prepared(model, (files,), recordings, commands)
+    except NotSimulatedError as reason:
+        return Tracking({}, str(reason))
+    errors = [_simulated_motion(part, controller, robot)[0] - part.segment.samples.position for part in parts]
+    rms = root_mean_square(errors)
+    pairs = zip(model.robot.joint_names, rms.tolist(), controller.explains_efforts, strict=True)
+    return Tracking({name: value for name, value, explained in pairs if explained})
+
+
+def _prepared(
+    model: MeasurementModel, files: Sequence[ModelFiles], recordings: Sequence[Samples], commands: Sequence[Samples]
+) -> tuple[list[_Commanded], list[WrittenRobot], FittedController]:
+    """Segments with their commands, the robots of ``files``, and the controller, fitted with the last robot.
+
+    Raises NotSimulatedError.
+    """
+    if model.robot.floating_base:
+        raise NotSimulatedError(FLOATING_BASE_REASON)
+    parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
+    if not parts:
+        raise NotSimulatedError("commands and measurements do not overlap in time")
+    efforts = np.concatenate([part.segment.samples.effort for part in parts])
+    robots = loaded_robots(files, model.robot.joint_names, efforts)
+    controller = fitted_controller(parts, robots[-1])
+    if not np.any(controller.explains_efforts):
+        raise NotSimulatedError(
+            "the measured efforts cannot be reproduced from the commands with gains and feed-forward"
+        )
+    return parts, robots, controller
+
+
+def _commanded(recording: Samples, commands: Samples) -> list[_Commanded]:
+    _, in_recording, in_commands = np.intersect1d(recording.stamps, commands.stamps, return_indices=True)
+    measured, commanded = recording.select(in_recording), commands.select(in_commands)
+    result = []
+    for segment in uniform_segments([measured]):
+        first = int(np.searchsorted(commanded.stamps, segment.samples.stamps[0]))
+        part = commanded.select(slice(first, first + len(segment.times)))
+        result.append(_Commanded(segment, replace(part, effort=np.nan_to_num(part.effort))))
+    return result
+
+
+def fitted_controller(parts: Sequence[_Commanded], robot: WrittenRobot) -> FittedController:
+    """Fit the gains that explain the true efforts: the measured ones, corrected by the sidecar of ``robot``.
+
+    A good controller's errors are hardly larger than their measurement noise, so least squares would underestimate the
+    gains. Therefore the errors shortly before and after, whose noise is independent, serve as instruments: two-stage
+    least squares.
+    """
+    efforts = [robot.true_effort(_undelayed_efforts(part.segment, robot)) for part in parts]
+    joints = len(robot.joints)
+    gains, explained = np.zeros((joints, 3)), np.zeros(joints, dtype=bool)
+    for joint in np.flatnonzero(np.all([np.all(np.isfinite(effort), axis=0) for effort in efforts], axis=0)):
+        columns = [_feedback_columns(part, int(joint)) for part in parts]
+        feedback = [e[:, joint] - part.setpoints.effort[:, joint] for e, part in zip(efforts, parts, strict=True)]
+        instruments = [_neighbours(c, part.segment.period) for c, part in zip(columns, parts, strict=True)]
+        z, x, y = (np.concatenate(lists) for lists in (instruments, columns, feedback))
+        predicted = z @ np.linalg.lstsq(z, x, rcond=None)[0]
+        solution, *_ = np.linalg.lstsq(predicted, y, rcond=None)
+        total = np.concatenate([effort[:, joint] for effort in efforts])
+        explained[joint] = solution[0] > 0.0 and np.var(y - x @ solution) < (1.0 - _EXPLAINED) * np.var(total)
+        gains[joint] = solution if explained[joint] else 0.0
+    return FittedController(gains[:, 0], np.maximum(gains[:, 1], 0.0), gains[:, 2], explained)
+
+
+def _feedback_columns(part: _Commanded, joint: int) -> FloatArray:
+    """Errors of position and velocity, and a constant column ``(N, 3)``."""
+    samples, setpoints = part.segment.samples, part.setpoints
+    errors = setpoints.position - samples.position, setpoints.velocity - samples.velocity
+    return np.stack([*(error[:, joint] for error in errors), np.ones(len(samples))], axis=1)
+
+
+def _neighbours(columns: FloatArray, period: float) -> FloatArray:
+    """``columns (N, K)`` shifted before and after by the lags, side by side ``(N, 6 K)``; the ends are repeated."""
+    shifts = [round(sign * separation / period) for separation in _SEPARATIONS for sign in (-1, 1)]
+    indices = np.arange(len(columns))[:, None] + np.array(shifts)
+    return np.asarray(columns[np.clip(indices, 0, len(columns) - 1)].reshape(len(columns), -1))
+
+
+def _undelayed_efforts(segment: UniformSegment, robot: WrittenRobot) -> FloatArray:
+    """Measured efforts without their delay ``(N, J)``."""
+    effort = segment.samples.effort
+    shifted = interpolated(segment.times, effort, segment.times + robot.delay)
+    return np.where(np.all(np.isfinite(effort), axis=0), shifted, np.nan)
+
+
+def _simulated_effort(part: _Commanded, controller: FittedController, robot: WrittenRobot) -> FloatArray:
+    """Simulated efforts ``(N, J)`` as the sensors would show them."""
+    times = part.segment.times
+    true_effort = _effort(part, controller, *_simulated_motion(part, controller, robot))
+    return robot.measured_effort(interpolated(times, true_effort, np.maximum(times - robot.delay, 0.0)))
+
+
+def _simulated_motion(
+    part: _Commanded, controller: FittedController, robot: WrittenRobot
+) -> tuple[FloatArray, FloatArray]:
+    """Simulate positions and velocities ``(N, J)`` under the commands, from the measured initial state."""
+    samples = part.segment.samples
+    closed = robot.in_closed_loop(controller.stiffness, controller.damping, controller.explains_efforts)
+    simulation = WindowSimulation(closed, part.segment, starts=np.zeros(1, dtype=np.int64), intervals=len(samples) - 1)
+    (position,), (velocity,), _ = simulation.run(driving_efforts=_driving(part, controller, robot, simulation))
+    return np.vstack([samples.position[:1], position]), np.vstack([samples.velocity[:1], velocity])
+
+
+def _effort(part: _Commanded, controller: FittedController, position: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Efforts of the controller at the samples ``(N, J)``."""
+    proportional = controller.stiffness * (part.setpoints.position - position)
+    damping = controller.damping * (part.setpoints.velocity - velocity)
+    return part.setpoints.effort + controller.constant + proportional + damping
+
+
+def _driving(
+    part: _Commanded, controller: FittedController, robot: WrittenRobot, simulation: WindowSimulation
+) -> FloatArray:
+    """Efforts ``(1, steps, J)`` that drive the joints in addition to the controller's springs and dampers.
+
+    MuJoCo's springs act by the beginning of a step and its dampers by the end. So do the set-points here, otherwise a
+    joint would lag by half a step.
+    """
+    (segment, commands), middles, half = part, simulation.instants, 0.5 * simulation.step
+    setpoints = controller.stiffness * interpolated(segment.times, commands.position, middles - half)
+    setpoints += controller.damping * interpolated(segment.times, commands.velocity, middles + half)
+    commanded = _effort(part, controller, segment.samples.position, segment.samples.velocity)
+    effort, feedforward = (interpolated(segment.times, values, middles) for values in (commanded, commands.effort))
+    motion = motion_at(segment, middles)
+    controlled = feedforward + controller.constant + setpoints - robot.sidecar_friction(effort, motion)
+    return np.where(controller.explains_efforts, controlled, robot.prescribed_effort(motion.acceleration))

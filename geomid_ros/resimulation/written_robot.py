@@ -64,7 +64,7 @@ class WrittenRobot:
         self._rest_friction, self._load_friction, self._mean_load = np.zeros(count), np.zeros(count), np.zeros(count)
         self._motion_effects: list[tuple[Effect, Place, Values]] = []
         self._sensor_effects: dict[str, list[tuple[SensorEffect, Values]]] = {}
-        for entry in read_sidecar(files.effects).effects:
+        for entry in read_sidecar(files.effects):
             values = values_of(entry)
             effect = effect_class(entry.effect).from_values(values)
             if isinstance(effect, SensorEffect):
@@ -73,16 +73,13 @@ class WrittenRobot:
                 place = place_named(effect.place, entry.joint, self.joints)
                 if place is None:
                     raise InputError(f"{files.effects}: {unknown_name('joint', entry.joint, self.joints)}")
-                self._add(effect, place, values)
-
-    def _add(self, effect: Effect, place: Place, values: Values) -> None:
-        self.delay += effect.effort_lag(values)
-        for joint in joints_of(place):
-            self.gain[joint] *= effect.effort_scale(values)
-            self.offset[joint] += effect.effort_shift(values)
-            self._rest_friction[joint] += effect.holding_friction(values)
-            self._load_friction[joint] += effect.friction_by_load(values)
-        self._motion_effects.append((effect, place, values))
+                self.delay += effect.effort_lag(values)
+                for joint in joints_of(place):
+                    self.gain[joint] *= effect.effort_scale(values)
+                    self.offset[joint] += effect.effort_shift(values)
+                    self._rest_friction[joint] += effect.holding_friction(values)
+                    self._load_friction[joint] += effect.friction_by_load(values)
+                self._motion_effects.append((effect, place, values))
 
     @property
     def step(self) -> float:

@@ -22,8 +22,7 @@ from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.estimate_file import account_entry, estimate_document, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.population import population_document, read_population
-from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
+from geomid_ros.files.models.posterior import POSTERIOR, population_document, read_population, write_posterior
 from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import with_absolute_files, with_effects, with_inertials
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model

@@ -24,8 +24,15 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.closed_loop import Tracking, resimulate_closed_loop, tracking
-from geomid_ros.resimulation.resimulate import NotSimulatedError, ResidualNoise, Resimulated, resimulate
+from geomid_ros.resimulation.resimulate import (
+    NotSimulatedError,
+    ResidualNoise,
+    Resimulated,
+    Tracking,
+    resimulate,
+    resimulate_closed_loop,
+    tracking,
+)
 from geomid_ros.session.gap import GapReader
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session

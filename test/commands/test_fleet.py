@@ -12,7 +12,7 @@ import pytest
 from fleet.bags import URDF, piece, torn, without_efforts
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.population import read_population
+from geomid_ros.files.models.posterior import read_population
 from geomid_ros.fleet import fleet as clusters
 from geomid_ros.fleet.fleet import Cluster
 

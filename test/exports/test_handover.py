@@ -36,6 +36,8 @@ from geomid_ros.session.session import Session, save
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 
+mujoco = pytest.importorskip("mujoco")
+
 WRITTEN = [reader for reader in READERS if reader != "mjcf_joints"]
 
 
@@ -61,8 +63,6 @@ def expected(result: Identification, reader: str) -> dict[str, float]:
 
 @pytest.mark.parametrize("reader", WRITTEN)
 def test_what_is_loaded_is_what_was_fitted(reader: str) -> None:
-    if reader == "mujoco":
-        pytest.importorskip("mujoco")
     judged = handed(reader).evaluate(found().judged, found().rms)
     for name, alone in expected(found(), reader).items():
         assert judged.alone[name] == pytest.approx(alone, rel=1e-4)
@@ -83,7 +83,6 @@ def test_friction_of_a_file_counts_on_the_base_of_legs_that_stand() -> None:
 
 def test_what_is_loaded_is_what_was_fitted_with_a_joint_locked(tmp_path: Path) -> None:
     """It moves in the files, so that what is behind it has a mass; at zero, all is as it was fitted."""
-    mujoco = pytest.importorskip("mujoco")
     result = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", lock=["joint3"], reader="mujoco")
     result.save(tmp_path, report=False)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "identified.xml"))
@@ -107,8 +106,6 @@ def rich() -> Identification:
 @pytest.mark.parametrize("reader", ["mujoco", "gazebo"])
 def test_springs_rest_and_couplings_are_loaded_as_they_were_fitted(reader: str) -> None:
     """What the file holds: all of it in an MJCF, all but couplings for Gazebo; no offset is left to a sensor."""
-    if reader == "mujoco":
-        pytest.importorskip("mujoco")
     result = DescriptionTest(rich().session, rich().estimate, reader)
     parameters = rich().estimate.within[reader]
     names = [c.effect.name for c in rich().session.model.coefficients]
@@ -128,7 +125,6 @@ def test_drake_gets_no_link_without_a_mass() -> None:
 
 def test_mujoco_itself_needs_these_efforts() -> None:
     """Its inverse dynamics, its dry friction apart, which is a constraint of another law near standstill."""
-    mujoco = pytest.importorskip("mujoco")
     samples = Samples.concatenate(list(found().judged)).select(slice(0, 400, 40))
     model = mujoco.MjModel.from_xml_string(handed("mujoco").files["identified.xml"])
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS | mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -260,7 +256,6 @@ def predicted_by(read: ReadBack, samples: Samples) -> FloatArray:
 
 @pytest.mark.parametrize("ratio", [1.0, -1.0])
 def test_mujoco_feels_a_coupling_at_both_joints(ratio: float) -> None:
-    mujoco = pytest.importorskip("mujoco")
     parameters = {"coefficient": Quantity(0.3, 0.1, "N m s/rad"), "ratio": Quantity(ratio, 0.0, "-")}
     coupling = KnownEffect("coupled_viscous_friction", "joint2+joint3", "", parameters)
     robot = found().session.robot
@@ -277,7 +272,6 @@ def test_mujoco_feels_a_coupling_at_both_joints(ratio: float) -> None:
 
 
 def test_under_the_recorded_commands_the_written_robot_is_where_the_measured_one_is(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
     recording = SimulationOptions(robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=(), commands=True)
     simulate(tmp_path / "bag", recording)
     result = geomid_ros.identify(tmp_path / "bag", BAGS / "arm3.urdf", reader="mujoco", command="joint_commands")

@@ -149,7 +149,7 @@ def random_term(seed: int) -> Summand:
     placement[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
     placement[:3, 3] = random.normal(scale=0.1, size=3)
     std = np.array([2e-3, *[1e-4] * 3, *[2e-6] * 6]) * random.uniform(0.5, 2.0, 10)
-    return Summand(UncertainInertia(parameters=own, std=std), placement)
+    return Summand(UncertainInertia(parameters=own, std=std), placement, 1.0)
 
 
 def part_taken_away(term: Summand) -> Summand:

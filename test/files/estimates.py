@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate, LinksInformation
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.geometry import pseudo_inertia
+
+
+def edited(*path: str | int, value: Any = None) -> Callable[[dict[str, Any]], None]:
+    """A change of a document: another value at a path of keys, or none there."""
+
+    def edit(content: Any) -> None:
+        for key in path[:-1]:
+            content = content[key]
+        if value is None:
+            del content[path[-1]]
+        else:
+            content[path[-1]] = value
+
+    return edit
 
 
 def link_estimate(name: str, merged: tuple[str, ...] = (), seed: int = 0) -> LinkEstimate:

@@ -235,11 +235,17 @@ def split(folder: Path, storage: StoragePlugin, parts: list[list[Recorded]]) -> 
         (file,) = (path for path in one.iterdir() if path.suffix != ".yaml")
         folder.mkdir(exist_ok=True)
         file.rename(folder / file.name)
-        document = yaml.safe_load((one / "metadata.yaml").read_text())
     names = sorted(path.name for path in folder.iterdir())
-    document["rosbag2_bagfile_information"]["relative_file_paths"] = names
-    (folder / "metadata.yaml").write_text(yaml.safe_dump(document))
-    return folder
+    (one / "metadata.yaml").rename(folder / "metadata.yaml")
+    return described(folder, relative_file_paths=names)
+
+
+def described(bag: Path, **fields: object) -> Path:
+    """The bag, of which ``metadata.yaml`` says something else."""
+    document = yaml.safe_load((bag / "metadata.yaml").read_text())
+    document["rosbag2_bagfile_information"].update(fields)
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(document))
+    return bag
 
 
 class TestFlippedBit:
@@ -290,16 +296,8 @@ class TestFlippedBit:
 
 
 def with_metadata(**fields: object) -> Callable[[Path], Path]:
-    """A bag of which ``metadata.yaml`` says something else."""
-
-    def make(folder: Path) -> Path:
-        bag = write_bag(folder / "bag", MESSAGES[:50])
-        document = yaml.safe_load((bag / "metadata.yaml").read_text())
-        document["rosbag2_bagfile_information"].update(fields)
-        (bag / "metadata.yaml").write_text(yaml.safe_dump(document))
-        return bag
-
-    return make
+    """Makes such a bag."""
+    return lambda folder: described(write_bag(folder / "bag", MESSAGES[:50]), **fields)
 
 
 def file(name: str, data: bytes) -> Callable[[Path], Path]:
@@ -513,10 +511,8 @@ class TestAsFound:
         bag = split(tmp_path / "bag", storage, parts)
         whole = content(bag)
         assert [time for _, time, _ in whole] == sorted(item.time for item in MESSAGES[:900])
-        document = yaml.safe_load((bag / "metadata.yaml").read_text())
-        document["rosbag2_bagfile_information"]["relative_file_paths"].reverse()
-        (bag / "metadata.yaml").write_text(yaml.safe_dump(document))
-        assert content(bag) == whole
+        names = sorted((path.name for path in bag.glob("bag_*")), reverse=True)
+        assert content(described(bag, relative_file_paths=names)) == whole
 
     @pytest.mark.parametrize("mode", ["MESSAGE", "FILE"])
     def test_lz4_is_read(self, mode: str, tmp_path: Path) -> None:
@@ -532,9 +528,7 @@ class TestAsFound:
             raw = [bytes(TYPES.serialize_cdr(i.message, i.kind)) for i in MESSAGES[:80] if i.topic == "/joint_states"]
             for index, data in enumerate(raw):
                 writer.write(connection, index, lz4.frame.compress(data))
-        document = yaml.safe_load((bag / "metadata.yaml").read_text())
-        document["rosbag2_bagfile_information"].update(compression_mode="MESSAGE", compression_format="lz4")
-        (bag / "metadata.yaml").write_text(yaml.safe_dump(document))
+        described(bag, compression_mode="MESSAGE", compression_format="lz4")
         assert [data for _, _, data in content(bag)] == raw
 
     def test_what_would_fill_the_disk_is_refused_before(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

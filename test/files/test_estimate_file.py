@@ -27,9 +27,10 @@ from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
-from .estimates import estimate_of, link_estimate
+from .estimates import edited, estimate_of, link_estimate
 from .recordings import BAGS
 
+ARM = read_urdf(BAGS / "arm3.urdf")
 EFFECT = EffectEstimate(
     name="coulomb_friction", joint="joint1", parameters={"level": Quantity(0.5, 0.05, "N m")}, from_data=0.9
 )
@@ -56,7 +57,7 @@ def test_the_document_says_what_the_estimate_says() -> None:
         )
         assert written["from_data"] == link.from_data
         assert written["merged"] == list(link.merged)
-    assert result["effects"][0]["value"] == EFFECT.value
+    assert (result["effects"][0]["value"], result["effects"][0]["from_data"]) == (EFFECT.value, EFFECT.from_data)
     assert result["rms"] == {
         "nominal": {"joint1": 1.0, "joint2": None},
         "train": {"joint1": 0.5, "joint2": None},
@@ -66,7 +67,7 @@ def test_the_document_says_what_the_estimate_says() -> None:
 
 def test_units_are_those_of_the_joint() -> None:
     """Of a rail N and m, in a table, when read, and in a description's model."""
-    rail = Robot(read_urdf(BAGS / "arm3.urdf").replace("revolute", "prismatic"))
+    rail = Robot(ARM.replace("revolute", "prismatic"))
     effects = [*map(identified_effect, ("viscous_friction", "spring", "effort_offset")), CoulombFriction(0.01)]
     model = MeasurementModel(rail, effects)
     estimate = estimate_of(
@@ -92,8 +93,7 @@ def test_units_are_those_of_the_joint() -> None:
 
 
 def session_from(model: Path) -> Session:
-    configuration = Configuration({"model": str(model)}, "test")
-    return Session(read_urdf(BAGS / "arm3.urdf"), configuration, "arm3.urdf")
+    return Session(ARM, Configuration({"model": str(model)}, "test"), "arm3.urdf")
 
 
 def of_another_robot(result: dict[str, Any]) -> None:
@@ -102,47 +102,37 @@ def of_another_robot(result: dict[str, Any]) -> None:
     result["information"]["links"] = [link["name"] for link in result["links"]]
 
 
-def edited(path: list[str | int], value: Any) -> Callable[[dict[str, Any]], None]:
-    def edit(result: dict[str, Any]) -> None:
-        target: Any = result
-        for key in path[:-1]:
-            target = target[key]
-        if value is None:
-            del target[path[-1]]
-        else:
-            target[path[-1]] = value
-
-    return edit
-
-
 NOT_FINITE = base64.b64encode(np.full(20, np.nan, "<f4").tobytes()).decode()
 UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
-    "no links": (edited(["links"], None), "no 'links'"),
-    "no effects": (edited(["effects"], None), "'effects'"),
-    "another format": (edited(["format"], 99), "format 99"),
-    "a link without mass": (edited(["links", 0, "mass"], None), r"links\[0\].mass is not given"),
+    "no links": (edited("links"), "no 'links'"),
+    "no effects": (edited("effects"), "'effects'"),
+    "another format": (edited("format", value=99), "format 99"),
+    "a link without mass": (edited("links", 0, "mass"), r"links\[0\].mass is not given"),
     "a centre in the plane": (
-        edited(["links", 0, "com"], [1.0, 2.0]),
+        edited("links", 0, "com", value=[1.0, 2.0]),
         r"links\[0\].com is .*expected finite numbers, 3",
     ),
-    "information of other links": (edited(["information", "rows"], "AAAAAA=="), "the information on 2 links"),
-    "information that is no base64": (edited(["information", "rows"], "?"), "the information on 2 links"),
-    "information in another order": (edited(["information", "links"], ["link1", "link3"]), "in another order"),
-    "a link twice": (edited(["links", 1, "name"], "link3"), "two links 'link3'"),
+    "information of other links": (edited("information", "rows", value="AAAAAA=="), "the information on 2 links"),
+    "information that is no base64": (edited("information", "rows", value="?"), "the information on 2 links"),
+    "information in another order": (edited("information", "links", value=["link1", "link3"]), "in another order"),
+    "a link twice": (edited("links", 1, "name", value="link3"), "two links 'link3'"),
     "a link merged with another one": (
-        edited(["links", 0, "merged"], ["hand"]),
+        edited("links", 0, "merged", value=["hand"]),
         "'link3' was identified together with",
     ),
     "information that is not finite": (
-        edited(["information", "residuals"], NOT_FINITE),
+        edited("information", "residuals", value=NOT_FINITE),
         "more precise than any measurement",
     ),
-    "a negative mass": (edited(["links", 0, "mass"], -1.0), "the inertia of link 'link3' is not physically consistent"),
-    "an impossible inertia": (
-        edited(["links", 0, "inertia", 0], [9.0, 0.0, 0.0]),
+    "a negative mass": (
+        edited("links", 0, "mass", value=-1.0),
         "the inertia of link 'link3' is not physically consistent",
     ),
-    "negative friction": (edited(["effects", 0, "value"], -0.1), "must be positive"),
+    "an impossible inertia": (
+        edited("links", 0, "inertia", 0, value=[9.0, 0.0, 0.0]),
+        "the inertia of link 'link3' is not physically consistent",
+    ),
+    "negative friction": (edited("effects", 0, "value", value=-0.1), "must be positive"),
     "another robot": (of_another_robot, "another robot.*leg_link3.*link1, link2, link3"),
 }
 
@@ -166,12 +156,6 @@ def test_what_is_no_json_object_is_refused(text: str, tmp_path: Path) -> None:
         session_from(path)
 
 
-def test_a_missing_estimate_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere.json: the model cannot be read"):
-        session_from(tmp_path / "nowhere.json")
-
-
-ARM = read_urdf(BAGS / "arm3.urdf")
 REVERSED = RecordingFault(cause=Cause(kind="sign", sentence="the efforts are reversed"))
 SHIFTED = RecordingFault(cause=Cause(kind="order", sentence="two joints are exchanged"))
 
@@ -184,15 +168,11 @@ def written(folder: Path, *findings: RecordingFault) -> Path:
     return folder / "estimate.json"
 
 
-def session(model: Path) -> Session:
-    return Session(ARM, Configuration({"model": str(model)}), "arm3.urdf")
-
-
 def test_a_model_of_a_doubtful_recording_is_told_first_with_all_reasons(tmp_path: Path) -> None:
     model = written(tmp_path, REVERSED, SHIFTED)
     entry = json.loads(model.read_text())["verdict"]
     assert entry == verdict_entry(recording_verdict([REVERSED, SHIFTED]), [REVERSED, SHIFTED])
-    first = session(model).review.warnings(verdict=recording_verdict((), warnings=["something else"]))[0]
+    first = session_from(model).review.warnings(verdict=recording_verdict((), warnings=["something else"]))[0]
     assert first == f"{model}: this model's verdict is 'doubtful': {REVERSED.sentence}; {SHIFTED.sentence}"
 
 

@@ -17,11 +17,12 @@ from signals.sent import JointMessage, WrenchMessage
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.effects_file import combined, payload_parameters, tilted_gravity
+from geomid_ros.files.models.effects_file import payload_parameters, tilted_gravity
 from geomid_ros.files.models.estimate_file import estimate_document
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import write_model
+from geomid_ros.files.schema import to_document
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
@@ -237,6 +238,7 @@ def test_a_negative_excess_of_an_older_file_is_predicted_and_no_prior(tmp_path: 
             [{"effect": "payload", "link": "hand", "parameters": {"mass": {"value": 1.0, "unit": "kg"}}}],
             r"added\[0\] \(payload\): parameters: com_x is not given",
         ),
+        ([to_document(effect("payload", "hand", **PAYLOAD))], "unknown link with a payload 'hand'.*link3"),
     ],
 )
 def test_what_cannot_be_used_is_named(tmp_path: Path, added: Any, message: str) -> None:
@@ -293,26 +295,6 @@ def test_joints_that_were_locked_for_the_model_are_locked_beside_it(tmp_path: Pa
     heard.append("finger_joint1")
     with pytest.raises(InputError, match=r"joint 'finger_joint1' is missing.*\(--lock\)"):
         opened()
-
-
-def test_a_payload_on_another_robots_link_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"estimate.json: unknown link with a payload 'hand'.*link3"):
-        write_model_and_load(tmp_path, [effect("payload", "hand", **PAYLOAD)])
-
-
-def write_model_and_load(tmp_path: Path, effects: list[KnownEffect]) -> Session:
-    document = estimate_document(estimate_of(link_estimate("link3", ("tool",))), {})
-    entries = [
-        {
-            "effect": e.effect,
-            "joint": e.joint,
-            "link": e.link,
-            "parameters": {name: vars(quantity) for name, quantity in e.parameters.items()},
-        }
-        for e in combined(effects)
-    ]
-    write_json(tmp_path / "estimate.json", document | {"added": entries})
-    return Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
 
 
 @pytest.mark.parametrize(

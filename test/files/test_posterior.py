@@ -1,4 +1,5 @@
-"""``posterior.npz`` is read as it was written, and what no estimate can have written is refused in one sentence."""
+"""``posterior.npz`` and ``population.json`` are read as they were written; what cannot have been is refused in one
+sentence."""
 
 from __future__ import annotations
 
@@ -8,14 +9,23 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
-from geomid_ros.estimation.posterior import Posterior
-from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder, write_posterior
+from geomid_ros.estimation.population import Population
+from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
+from geomid_ros.files.models.posterior import (
+    POSTERIOR,
+    read_population,
+    read_posterior,
+    read_remainder,
+    write_population,
+    write_posterior,
+)
 from geomid_ros.gap.evidence.features import Basis, KnownRemainder
 from geomid_ros.model.effects import Quantity
 
@@ -55,20 +65,6 @@ def test_the_same_posterior_makes_the_same_bytes(tmp_path: Path, written: Path) 
     assert (tmp_path / "again.npz").read_bytes() == written.read_bytes()
 
 
-@pytest.mark.parametrize("kept", [0.3, 0.999])
-def test_a_torn_file_is_refused(written: Path, kept: float) -> None:
-    content = written.read_bytes()
-    written.write_bytes(content[: int(kept * len(content))])
-    refused(written, "cannot be read")
-
-
-def test_a_flipped_bit_is_refused(written: Path) -> None:
-    content = bytearray(written.read_bytes())
-    content[len(content) // 2] ^= 1
-    written.write_bytes(content)
-    refused(written, "cannot be read")
-
-
 def headed(change: Callable[[dict], None]) -> Callable[[dict], dict]:
     def changed(arrays: dict) -> dict:
         header = json.loads(str(arrays["posterior"]))
@@ -100,29 +96,40 @@ def test_what_no_estimate_can_be_is_refused(written: Path, change: Callable[[dic
     refused(written, reason)
 
 
-def test_compressed_arrays_are_refused_unread(written: Path) -> None:
-    np.savez_compressed(written, posterior=np.zeros(10**6))
-    refused(written, "compressed")
+def flipped(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
 
 
-def test_an_array_that_claims_to_be_larger_than_its_file_is_refused_unmade(written: Path) -> None:
+def claims_more_than_memory(path: Path) -> None:
     content = io.BytesIO()
     np.lib.format.write_array_header_1_0(content, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
-    with zipfile.ZipFile(written, "w") as archive:
+    with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("posterior.npy", content.getvalue())
-    refused(written, "cannot be read")
 
 
-def test_a_member_that_is_no_array_is_refused(written: Path) -> None:
-    with zipfile.ZipFile(written, "a") as archive:
+def with_a_member_that_is_no_array(path: Path) -> None:
+    with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("scales", b"xxx")
-    refused(written, "not an array")
 
 
-def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
-    (tmp_path / POSTERIOR).write_text("{}")
-    refused(tmp_path / POSTERIOR, "cannot be read")
-    refused(tmp_path / "none.npz", "cannot be read")
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 3]), "cannot be read"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-1]), "cannot be read"),
+        (flipped, "cannot be read"),
+        (lambda path: np.savez_compressed(path, posterior=np.zeros(10**6)), "compressed"),
+        (claims_more_than_memory, "cannot be read"),
+        (with_a_member_that_is_no_array, "not an array"),
+        (lambda path: path.write_text("{}"), "cannot be read"),
+        (Path.unlink, "cannot be read"),
+    ],
+)
+def test_a_damaged_file_is_refused(written: Path, damage: Callable[[Path], object], reason: str) -> None:
+    damage(written)
+    refused(written, reason)
 
 
 SIZES = 5, 3
@@ -217,3 +224,77 @@ def refused(path: Path, reason: str, read: Callable[[Path], object] = read_poste
         read(path)
     assert str(raised.value).startswith(f"{path}: ")
     assert "\n" not in str(raised.value)
+
+
+def population() -> Population:
+    rng = np.random.default_rng(4)
+    bodies = [link_estimate(name, seed=seed).parameters for seed, name in enumerate(("upper", "lower"))]
+    effects = (
+        EffectCoordinate(name="viscous_friction", place="a", parameter="coefficient", unit="N m s/rad", positive=True),
+        EffectCoordinate(name="effort_offset", place="a", parameter="offset", unit="N m", positive=False),
+        EffectCoordinate(name="effort_offset", place="b", parameter="offset", unit="N m", positive=False),
+    )
+    root = 0.1 * rng.normal(size=(23, 30))
+    return Population(
+        links=("upper", "lower"),
+        effects=effects,
+        parameters=np.concatenate([*bodies, [0.4, -0.2, 0.0]]),
+        covariance=root @ root.T,
+        scales=np.array([2.0, 0.5]),
+        robots=20,
+    )
+
+
+@pytest.fixture
+def of_fleet(tmp_path: Path) -> Path:
+    path = tmp_path / "population.json"
+    write_population(path, population())
+    return path
+
+
+def test_a_population_is_read_as_it_was_written(of_fleet: Path) -> None:
+    found, expected = read_population(of_fleet), population()
+    for field in fields(Population):
+        read, made = (getattr(each, field.name) for each in (found, expected))
+        if isinstance(made, np.ndarray):
+            np.testing.assert_allclose(read, made, rtol=1e-12, atol=1e-15)
+            assert not read.flags.writeable
+        else:
+            assert read == made
+
+
+def _effect(**changes: Any) -> Callable[[dict[str, Any]], None]:
+    return lambda document: document["effects"][0].update(changes)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda document: document.pop("covariance"), "it has no 'covariance'"),
+        (lambda document: document.update(format=9), "has format 9, this version reads format 1"),
+        (lambda document: document.update(covariance="AAAA"), "covariance is not of its links and effects"),
+        (lambda document: document["links"].pop(), "covariance is not of its links and effects"),
+        (lambda document: document["links"][0].update(mass=-1.0), "is not physically consistent"),
+        (_effect(value=-1.0), "none that robots can have"),
+        (lambda document: document["effects"][1].update(scale=0.0), "none that robots can have"),
+        (lambda document: document["effects"].reverse(), "none that robots can have"),
+        (lambda document: document["effects"][2].update(document["effects"][1]), "none that robots can have"),
+    ],
+)
+def test_what_no_fleet_writes_is_refused(of_fleet: Path, change: Callable[[dict[str, Any]], Any], why: str) -> None:
+    document = json.loads(of_fleet.read_text())
+    change(document)
+    of_fleet.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=why) as caught:
+        read_population(of_fleet)
+    assert str(caught.value).startswith(str(of_fleet))
+
+
+def test_a_covariance_that_is_none_is_refused(tmp_path: Path) -> None:
+    found = population()
+    wrong = found.covariance.copy()
+    wrong[0, 1] = wrong[1, 0] = 10.0
+    broken = Population(**{f.name: getattr(found, f.name) for f in fields(Population)} | {"covariance": wrong})
+    write_population(tmp_path / "population.json", broken)
+    with pytest.raises(InputError, match="none that robots can have"):
+        read_population(tmp_path / "population.json")

@@ -145,5 +145,5 @@ def test_a_list_that_was_cut_by_topic_echo_says_so(tmp_path: Path) -> None:
     document = bump(JOINTS, 4.0).document(9)
     document["points"][5]["positions"] = "12"
     (tmp_path / "plan.yaml").write_text(yaml.safe_dump(document))
-    with pytest.raises(InputError, match="must be lists of numbers"):
+    with pytest.raises(InputError, match="point 5 is incomplete; expected lists of numbers"):
         read_trajectory(tmp_path / "plan.yaml")

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from commands.running import NO_CHOICE
@@ -139,35 +138,6 @@ def test_yaml_is_read_as_rcl_reads_it(text: str, value: object, tmp_path: Path) 
     (found,) = read_yaml(tmp_path / "file.yaml", "file")
     assert found == value
     assert type(found) is type(value)
-
-
-def model(**fields: Any) -> dict[str, Any]:
-    inertia = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    link = {"name": "link1", "mass": 1.0, "com": [0.0, 0.0, 0.0], "inertia": inertia}
-    return {"format": 1, "links": [link], "effects": [], "added": [], **fields}
-
-
-MODELS: dict[str, tuple[dict[str, Any], str]] = {
-    "many links": (model(links=model()["links"] * 40_001), "links is .*at most 40000"),
-    "a number of 400 digits": (
-        model(effects=[{"name": "rotor_inertia", "joint": "x", "value": 10**400}]),
-        "value is .*expected a finite number",
-    ),
-    "a huge mass": (model(links=[{**model()["links"][0], "mass": 1e300}]), "mass is .*expected a finite number"),
-    "an infinite centre": (
-        model(links=[{**model()["links"][0], "com": [1e308] * 3}]),
-        "com is .*expected finite numbers",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", MODELS)
-def test_a_model_beyond_the_limits_is_refused(case: str, tmp_path: Path) -> None:
-    document, message = MODELS[case]
-    path = tmp_path / "estimate.json"
-    path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match=rf"estimate.json: .*{message}"):
-        LoadedModel.read(str(path))
 
 
 def test_an_error_shows_control_characters_as_codes_and_stays_short() -> None:

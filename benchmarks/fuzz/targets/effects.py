@@ -39,10 +39,8 @@ class EffectsTarget:
 
     def _use(self, text: str) -> None:
         self._path.write_bytes(text.encode(errors="surrogatepass"))
-        sidecar = read_sidecar(self._path)
-        write_sidecar(self._again, sidecar.robot, sidecar.effects)
-        again = read_sidecar(self._again)
-        require(again.robot == sidecar.robot, "another robot")
-        before, after = ([values_of(effect) for effect in read.effects] for read in (sidecar, again))
+        effects = read_sidecar(self._path)
+        write_sidecar(self._again, "arm3", effects)
+        before, after = ([values_of(effect) for effect in each] for each in (effects, read_sidecar(self._again)))
         require(before == after, f"{before} has become {after}")
-        combined(sidecar.effects)
+        combined(effects)

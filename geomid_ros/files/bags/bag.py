@@ -43,7 +43,6 @@ class Bag:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._storages: list[Storage] = []
-        self._stack = ExitStack()
         with ExitStack() as stack:
             try:
                 files = _bag_files(path, stack)
@@ -54,17 +53,12 @@ class Bag:
                 raise InputError(f"{path}: cannot be read as a rosbag2 recording ({error})") from error
             self._packed = files.packed
             self._storages.sort(key=lambda storage: storage.start or 0)  # by time, as they may be listed in any order
-            self.warnings = self._warnings(files)
+            cut = [storage.truncation for storage in self._storages if storage.truncation]
+            if cut and not any(count for storage in self._storages for count in storage.counts.values()):
+                raise InputError(f"{'; '.join(cut)}. It cannot be read as a rosbag2 recording")
+            self.warnings = (*files.warnings, *cut)
             self.has_checksums = all(storage.has_checksums for storage in self._storages)
             self._stack = stack.pop_all()
-
-    def _warnings(self, files: _BagFiles) -> tuple[str, ...]:
-        """Sentences on missing parts. Raises InputError if no message is left."""
-        cut = [storage.truncation for storage in self._storages if storage.truncation]
-        count = sum(sum(storage.counts.values()) for storage in self._storages)
-        if cut and not count:
-            raise InputError(f"{'; '.join(cut)}. It cannot be read as a rosbag2 recording")
-        return (*files.warnings, *cut)
 
     def __enter__(self) -> Self:
         return self

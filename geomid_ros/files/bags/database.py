@@ -138,7 +138,8 @@ class Database(Storage):
         if len(header) < _HEADER.size:
             raise TruncatedFileError("the file is empty" if not header else "the file ends in its first bytes", 0)
         page_size, changes, pages, changes_then = _HEADER.unpack(header)
-        expected = pages * (page_size if page_size > 1 else 1 << 16)
+        self._page_size = page_size if page_size > 1 else 1 << 16
+        expected = pages * self._page_size
         if changes == changes_then and expected > self._size:
             raise TruncatedFileError(f"of {expected} bytes, {self._size} are there", self._size)
 
@@ -158,11 +159,6 @@ class Database(Storage):
             page = re.search(r"page (\d+)", answer, re.IGNORECASE)
             offset = (int(page[1]) - 1) * self._page_size if page else None
             raise FaultError(" ".join(str(answer).split())[:200], offset)
-
-    @property
-    def _page_size(self) -> int:
-        ((size,),) = self._query("PRAGMA page_size")
-        return int(size)
 
     def _read_topics(self) -> None:
         for identity, name, kind, encoding in self._query("SELECT id, name, type, serialization_format FROM topics"):

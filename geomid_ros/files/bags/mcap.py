@@ -40,18 +40,13 @@ _TOO_SHORT = "a record ends before its last field"
 _TOO_MUCH = "its chunks are too large, or overlap too much in time; 'mcap sort' may help"
 
 
-class _Kind(IntEnum):
-    """Kinds of records; records of other programs have the bit PRIVATE."""
-
-    HEADER = 1
-    FOOTER = 2
-    SCHEMA = 3
-    CHANNEL = 4
-    MESSAGE = 5
-    CHUNK = 6
-    STATISTICS = 0x0B
-    DATA_END = 0x0F
-    PRIVATE = 0x80
+_Kind = IntEnum(
+    "_Kind",
+    "HEADER FOOTER SCHEMA CHANNEL MESSAGE CHUNK MESSAGE_INDEX CHUNK_INDEX ATTACHMENT ATTACHMENT_INDEX STATISTICS "
+    "METADATA METADATA_INDEX SUMMARY_OFFSET DATA_END",
+)
+"""Kinds of records, from 1 on in the order of the specification."""
+_PRIVATE = 0x80  # bit in the kinds of other programs' records
 
 
 class _RecordSpan(NamedTuple):
@@ -76,7 +71,6 @@ class McapFile(Storage):
         self._counted: Counter[int] = Counter()
         self._last = 0
         self._spans: list[_RecordSpan] = []
-        self._channel_sets: dict[frozenset[int], frozenset[int]] = {}
         self._file = path.open("rb")
         super().__init__(path)
 
@@ -141,12 +135,12 @@ class McapFile(Storage):
         data_end = 0
         for kind, begin, end in self._walk():
             if data_end:
-                if kind == _Kind.STATISTICS:
-                    self._check_count(begin)
+                if kind == _Kind.STATISTICS and (count := self._number(begin + _RECORD.size, 8)) != self._whole()[0]:
+                    raise FaultError(f"its statistics count {count} messages, it has {self._whole()[0]}", begin)
             elif kind == _Kind.DATA_END:
-                self._check_sum(0, begin, self._number(begin + _RECORD.size, 4), "data section")
-                data_end = end
-                self.has_checksums |= self._number(begin + _RECORD.size, 4) != 0
+                data_end, recorded = end, self._number(begin + _RECORD.size, 4)
+                self._check_sum(0, begin, recorded, "data section")
+                self.has_checksums |= recorded != 0
             elif kind == _Kind.HEADER:
                 self._check_profile(begin, end)
             elif kind in (_Kind.CHUNK, _Kind.SCHEMA, _Kind.CHANNEL, _Kind.MESSAGE):
@@ -164,11 +158,11 @@ class McapFile(Storage):
             if len(head) < _RECORD.size or not any(head):  # a power failure may leave zeros
                 raise TruncatedFileError("the file ends before its footer", begin)
             kind, length = _RECORD.unpack(head)
-            if not _Kind.HEADER <= kind <= _Kind.DATA_END and not kind & _Kind.PRIVATE:
+            if not _Kind.HEADER <= kind <= _Kind.DATA_END and not kind & _PRIVATE:
                 raise FaultError(f"a record of the unknown kind {kind}", begin)
             end = begin + _RECORD.size + length
             if end > self._size:
-                if kind & _Kind.PRIVATE or length > MOST_BYTES:
+                if kind & _PRIVATE or length > MOST_BYTES:
                     raise FaultError(f"a record of {length} bytes, more than there are", begin)
                 if kind == _Kind.CHUNK:
                     self._add_truncated(begin)
@@ -212,31 +206,26 @@ class McapFile(Storage):
                     counted[channel] += 1
                     first, last = min(first, time), max(last, time)
                 elif kind == _Kind.SCHEMA:
-                    self._take_schema(record)
+                    (schema,) = struct.unpack_from("<H", record)
+                    _set_once(self._schemas, schema, _text(record, 2)[0], "schema")
                 elif kind == _Kind.CHANNEL:
                     self._take_channel(record)
         except (ValueError, struct.error) as error:
             raise FaultError(str(error), begin) from error
         self._last = last
         self._counted += counted
-        shared = frozenset(counted)
-        return _RecordSpan(begin, end, chunk, first, self._channel_sets.setdefault(shared, shared))
+        return _RecordSpan(begin, end, chunk, first, frozenset(counted))
 
     def _add(self, span: _RecordSpan) -> None:
         """Append a span; consecutive records outside chunks become one span."""
         last = self._spans[-1] if self._spans else None
         if last and not last.chunk and not span.chunk and last.end == span.begin and span.end - last.begin < PIECE:
             channels = last.channels | span.channels
-            channels = self._channel_sets.setdefault(channels, channels)
             self._spans[-1] = _RecordSpan(last.begin, span.end, False, min(last.first, span.first), channels)
         elif len(self._spans) * _memory(span) > MOST_BYTES:
             raise FaultError(f"more than {len(self._spans)} chunks", span.begin)
         else:
             self._spans.append(span)
-
-    def _take_schema(self, record: memoryview) -> None:
-        (schema,) = struct.unpack_from("<H", record)
-        _set_once(self._schemas, schema, _text(record, 2)[0], "schema")
 
     def _take_channel(self, record: memoryview) -> None:
         channel, schema = struct.unpack_from("<HH", record)
@@ -256,11 +245,6 @@ class McapFile(Storage):
     def _number(self, begin: int, size: int) -> int:
         """Unsigned integer of ``size`` bytes at an offset."""
         return int.from_bytes(self._bytes(begin, begin + size), "little")
-
-    def _check_count(self, begin: int) -> None:
-        recorded = self._number(begin + _RECORD.size, 8)
-        if recorded != self._counted.total():
-            raise FaultError(f"its statistics count {recorded} messages, it has {self._counted.total()}", begin)
 
     def _check_sum(self, begin: int, end: int, recorded: int, part: str) -> None:
         """Compare the checksum of a part of the file with the recorded one; zero means that none was recorded."""

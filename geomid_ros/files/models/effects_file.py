@@ -24,7 +24,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -51,12 +50,7 @@ from geomid_ros.types import FloatArray
 
 QUANTITY_NAMES = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
 """Parameters of a payload, in the order of :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`."""
-_PLACES = {
-    "joint": ("joint", "the joint at which it acts"),
-    "joints": ("joint", "the two joints at which it acts, FIRST+SECOND"),
-    "sensor": ("joint", "the topic of the wrench sensor"),
-    "link": ("link", "the link at which it acts"),
-}
+_PLACES = {"joint": "its joint", "joints": "FIRST+SECOND", "sensor": "its sensor's topic", "link": "its link"}
 _HEADER = """\
 # Effects of this robot's joints and sensors, in SI units. "urdf" and "mjcf" list the parameters that the URDF and the
 # MJCF also contain. If you load one of these files, add only the others. "alone" is the value in both files: it was
@@ -199,23 +193,15 @@ def _refined(effect: KnownEffect, remaining: dict[tuple[str, str], KnownEffect])
     return KnownEffect(effect.effect, effect.joint, effect.link, parameters)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sidecar:
-    """Effects of the robot called ``robot``."""
-
-    robot: str = ""
-    effects: tuple[KnownEffect, ...]
-
-
 @check.register
 def _check_effect(effect: KnownEffect, where: str) -> None:
     """Refuse an effect of a file that is invalid. Raises InputError beginning with ``where``."""
     if effect.effect not in EFFECTS:
         raise InputError(f"{where}: {unknown_name('effect', effect.effect, EFFECTS)}")
     cls, where = EFFECTS[effect.effect], f"{where} ({effect.effect})"
-    key, expected = _PLACES.get(cls.place, ("effect", ""))
-    if not getattr(effect, key):
-        raise InputError(f"{where}: {key} is not given, expected {expected}")
+    key = "link" if cls.place == "link" else "joint"
+    if cls.place in _PLACES and not getattr(effect, key):
+        raise InputError(f"{where}: {key} is not given, expected {_PLACES[cls.place]}")
     forms = {form.name: form for form in cls.parameters}
     for name, quantity in effect.parameters.items():
         if name not in forms:
@@ -246,12 +232,17 @@ def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
     return {"name": effect.effect, "joint": effect.joint, **to_document(quantity), **constants}
 
 
-def effects_entries(effects: Iterable[KnownEffect]) -> dict[str, Any]:
-    """Entries for the ``effects`` of one coefficient at a joint, and for the other effects, which are ``added``."""
+def effects_entries(
+    effects: Iterable[KnownEffect], shares: Mapping[tuple[str, str], float] | None = None
+) -> dict[str, Any]:
+    """Entries for the ``effects`` of one coefficient at a joint, and for the other effects, which are ``added``; of an
+    estimate with the ``shares`` that are from data, by effect and place."""
     kinds: dict[str, Any] = {"effects": [], "added": []}
     for effect in effects:
-        single = is_coefficient(effect)
-        kinds["effects" if single else "added"].append(coefficient_entry(effect) if single else to_document(effect))
+        single, place = is_coefficient(effect), (effect.effect, effect.joint)
+        share = {"from_data": shares.get(place)} if shares is not None and (single or place in shares) else {}
+        entry = coefficient_entry(effect) if single else to_document(effect)
+        kinds["effects" if single else "added"].append(entry | share)
     return kinds
 
 
@@ -278,12 +269,12 @@ def _entry(effect: KnownEffect, alone: KnownEffect) -> dict[str, Any]:
     }
 
 
-def read_sidecar(path: Path) -> Sidecar:
-    """Read a sidecar. Raises InputError naming the file and the key."""
+def read_sidecar(path: Path) -> tuple[KnownEffect, ...]:
+    """Read the effects of a sidecar. Raises InputError naming the file and the key."""
     document = read_yaml(path, "file of effects")
     check_form(document, ("effects",), f"{path}:", "file of effects")
-    sidecar = from_document(Sidecar, document, f"{path}:")
-    for (name, place), count in Counter((e.effect, e.link or e.joint) for e in sidecar.effects).items():
+    effects = from_document(tuple[KnownEffect, ...], document["effects"], f"{path}: effects")
+    for (name, place), count in Counter((e.effect, e.link or e.joint) for e in effects).items():
         if count > 1:
             raise InputError(f"{path}: {name} is listed twice at '{place}'")
-    return sidecar
+    return effects

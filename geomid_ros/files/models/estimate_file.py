@@ -21,16 +21,9 @@ from geomid_ros.estimation.estimate import (
     Estimate,
     LinkEstimate,
     LinksInformation,
-    UncertainInertia,
     WeighedEstimate,
 )
-from geomid_ros.files.models.effects_file import (
-    check_quantity,
-    coefficient_entry,
-    combined,
-    is_coefficient,
-    updated_effects,
-)
+from geomid_ros.files.models.effects_file import check_quantity, combined, effects_entries, updated_effects
 from geomid_ros.files.schema import (
     FORMAT,
     Matrix,
@@ -42,6 +35,7 @@ from geomid_ros.files.schema import (
     to_base64,
     to_document,
     triangle_from_base64,
+    upper_triangle,
 )
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
@@ -147,10 +141,9 @@ class ErrorsEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class RowsEntry:
-    """Counts of accepted, set aside and rejected rows."""
+    """Counts of accepted and rejected rows."""
 
-    accepted: int = 0
-    set_aside: int = 0
+    accepted: int | None = None
     rejected: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -198,7 +191,7 @@ class EstimateFile:
     cutoff: float | None = None
     channels: tuple[ChannelEntry, ...] = ()
     seconds: float = math.nan
-    steps: int = 0
+    steps: int | None = None
     gamma: float = math.nan
     rows: RowsEntry = RowsEntry()
     known: tuple[WeighedEstimate, ...] = ()
@@ -268,16 +261,24 @@ class EstimateFile:
         reasons = "; ".join(verdict.reasons) or "no reason is given"
         return f"{self.source}: this model's verdict is '{verdict.word}': {reasons}"
 
-    @property
-    def bodies(self) -> dict[str, UncertainInertia]:
-        """Links with their uncertainty, by name."""
+    @cached_property
+    def bodies(self) -> dict[str, LinkEstimate]:
+        """Links with their uncertainty, by name, as far as the file states it."""
+        unknown = np.full(13, np.nan)  # of quantities and first moments: no file has them
         return {
-            link.name: UncertainInertia(
-                parameters=self.inertias[link.name],
-                std=np.full(10, np.nan) if link.std is None else link.std.quantities,
+            link.name: LinkEstimate(
+                name=link.name,
                 merged=link.merged or (),
-                cannot_tell=link.cannot_tell,
+                parameters=self.inertias[link.name],
+                std=unknown[:10] if link.std is None else link.std.quantities,
+                distance_from_prior=link.distance_from_prior,
                 from_data=link.from_data,
+                min_eigenvalue_ratio=link.min_eigenvalue_ratio,
+                cannot_tell=link.cannot_tell or (),
+                moments=link.identified_moments,
+                std_doubted=unknown,
+                std_prior=unknown,
+                outlier=link.outlier,
             )
             for link in self.links
         }
@@ -300,7 +301,11 @@ class EstimateFile:
             raise self._information_error(f"on {len(self.links)} links cannot be read ({error})") from error
         if list(self.information.links) != list(self.inertias):
             raise self._information_error("is on other links than those listed, or in another order")
-        if not _can_be_measured(rows, self.inertias) or not np.all(np.isfinite(residuals)):
+        manifold = ParameterManifold(len(self.links), 0, np.zeros(0))
+        with np.errstate(all="ignore"):  # for extreme bodies; results that are not numbers are refused
+            whitened = manifold.whiten(manifold.point(np.concatenate([*self.inertias.values()])), rows)
+        # The rows are rounded to seven digits.
+        if not np.all(np.abs(whitened) < 2.0 * FINEST) or not np.all(np.isfinite(residuals)):
             raise self._information_error("on the links is more precise than any measurement")
         return LinksInformation(rows, residuals)
 
@@ -310,7 +315,10 @@ class EstimateFile:
     @property
     def link_estimates(self) -> list[LinkEstimate]:
         """Estimates of the links. Raises InputError for a link with missing entries."""
-        return [_link_estimate(link, self.inertias[link.name], self.source) for link in self.links]
+        for link in self.links:
+            if link.std is None or link.merged is None or link.cannot_tell is None:
+                raise InputError(f"{self.source}: link '{link.name}' has no std, merged or cannot_tell")
+        return [*self.bodies.values()]
 
     @property
     def effect_estimates(self) -> list[EffectEstimate]:
@@ -357,33 +365,6 @@ def _known_effect(entry: CoefficientEntry, raw: Mapping[str, Any], source: str) 
     return KnownEffect(entry.name, entry.joint, "", parameters)
 
 
-def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> LinkEstimate:
-    if link.std is None or link.merged is None or link.cannot_tell is None:
-        raise InputError(f"{source}: link '{link.name}' has no std, merged or cannot_tell")
-    return LinkEstimate(
-        name=link.name,
-        merged=link.merged,
-        parameters=parameters,
-        std=link.std.quantities,
-        distance_from_prior=link.distance_from_prior,
-        from_data=link.from_data,
-        min_eigenvalue_ratio=link.min_eigenvalue_ratio,
-        cannot_tell=link.cannot_tell,
-        moments=link.identified_moments,
-        std_doubted=np.full(13, np.nan),
-        std_prior=np.full(13, np.nan),  # of quantities and first moments: no file has them
-        outlier=link.outlier,
-    )
-
-
-def _can_be_measured(rows: FloatArray, inertias: Mapping[str, FloatArray]) -> bool:
-    """True if rows ``(n, 10 links)`` determine no inertia more precisely than is credible."""
-    manifold = ParameterManifold(len(inertias), 0, np.zeros(0))
-    with np.errstate(all="ignore"):  # for extreme bodies; results that are not numbers are refused
-        whitened = manifold.whiten(manifold.point(np.concatenate([*inertias.values()])), rows)
-    return bool(np.all(np.abs(whitened) < 2.0 * FINEST))  # rounded to seven digits
-
-
 def estimate_document(
     estimate: Estimate,
     rows_rejected: Mapping[str, int],
@@ -398,16 +379,13 @@ def estimate_document(
         held_out: RMS residuals ``(channels,)`` on data that were not fitted, if any were held out.
         known: the effects of the model that the estimation began with.
     """
-    shares = shares_from_data(estimate)
-    effects = [(e, shares.get((e.effect, e.joint))) for e in model_effects(estimate, known)]
     rms = {"nominal": estimate.rms_nominal, "train": estimate.rms, "held_out": held_out}
     rejected = {reason: count for reason, count in sorted(rows_rejected.items()) if count}
-    rows = estimate.information.rows
-    information = InformationEntry(
-        links=tuple(link.name for link in estimate.links),
-        rows=to_base64(rows[np.triu_indices(len(rows))], _PACKED),
-        residuals=to_base64(estimate.information.residuals, _PACKED),
-    )
+    information = {
+        "links": [link.name for link in estimate.links],
+        "rows": to_base64(upper_triangle(estimate.information.rows), _PACKED),
+        "residuals": to_base64(estimate.information.residuals, _PACKED),
+    }
     return {
         "format": FORMAT,
         **attributes_entry(estimate, "converged", "reason"),
@@ -416,23 +394,18 @@ def estimate_document(
         "rows": {"accepted": estimate.rows_accepted, "set_aside": estimate.rows_set_aside, "rejected": rejected},
         "links": [
             link_entry(link.name, link.merged, link.parameters)
-            | {"std": to_document(InertiaEntry(mass=link.std_mass, com=link.std_com, inertia=link.std_inertia))}
+            | {"std": to_document({"mass": link.std_mass, "com": link.std_com, "inertia": link.std_inertia})}
             | attributes_entry(link, "distance_from_prior", "from_data", "min_eigenvalue_ratio", "cannot_tell")
             | {"identified_moments": [*link.moments], "outlier": link.outlier}
             for link in estimate.links
         ],
-        "effects": [coefficient_entry(e) | {"from_data": share} for e, share in effects if is_coefficient(e)],
-        "added": [
-            to_document(e) | ({} if share is None else {"from_data": share})
-            for e, share in effects
-            if not is_coefficient(e)
-        ],
+        **effects_entries(model_effects(estimate, known), shares_from_data(estimate)),
         "known": [attributes_entry(mass, "name", "mass", "std", "given", "given_std") for mass in estimate.known],
         "rms": {
             kind: None if values is None else by_channel(estimate.channels, values) for kind, values in rms.items()
         },
         "sigma": by_channel(estimate.channels, estimate.sigmas),
-        "information": to_document(information) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
+        "information": information if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
 
 
@@ -453,11 +426,8 @@ def model_effects(estimate: Estimate, known: Sequence[KnownEffect]) -> list[Know
 def link_entry(name: str, merged: Sequence[str], parameters: FloatArray) -> dict[str, Any]:
     """Entry of a link with parameters ``(10,)`` and the fixed links merged into it."""
     com, inertia = pseudo_inertia.centre_of_mass(parameters), pseudo_inertia.central_inertia(parameters)
-    return {
-        "name": name,
-        "merged": [*merged],
-        **to_document(InertiaEntry(mass=parameters[0], com=com, inertia=inertia)),
-    }
+    entry = {"name": name, "merged": [*merged], "mass": parameters[0], "com": com, "inertia": inertia}
+    return {key: to_document(value) for key, value in entry.items()}
 
 
 def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:

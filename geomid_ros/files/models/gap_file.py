@@ -139,6 +139,8 @@ class GapFile:
         if {*channels} - self.units.keys():
             raise InputError(f"{self.source}: units does not say one for each channel of the floor")
         errors = {key: np.array([*item.values()]) for key, item in self.gap.items()}
+        motion, nothing = np.zeros((0, 0)), np.zeros((0, len(channels)))  # the file has no samples
+        predicted = dict.fromkeys(("load", "measured", "before", "inertias_only", "after"), nothing)
         return GapResult(
             **{name: getattr(self, name) for name in _AS_FOUND},
             channels=channels,
@@ -146,7 +148,7 @@ class GapFile:
             floor=floor * effort_gains(self.findings, channels),
             gap=GapErrors(*(errors[kind] for kind in _KINDS)),
             moving=errors["moving"],
-            trace=_no_trace(len(channels)),
+            trace=Trace(stamps=np.zeros(0, dtype=np.int64), position=motion, velocity=motion, **predicted),
             bodies=tuple(item.name for item in self.bodies),
             inertias=np.array([item.after for item in self.bodies]).reshape(-1, 10),
             coefficients=np.zeros(0),
@@ -156,18 +158,9 @@ class GapFile:
         )
 
 
-def _no_trace(channels: int) -> Trace:
-    """Trace without samples."""
-    empty, motion = np.zeros((0, channels)), np.zeros((0, 0))
-    predicted = dict.fromkeys(("load", "measured", "before", "inertias_only", "after"), empty)
-    return Trace(stamps=np.zeros(0, dtype=np.int64), position=motion, velocity=motion, **predicted)
-
-
 def read_gap(path: Path) -> dict[str, Any]:
     """Read a ``gap.json``. Raises InputError naming it."""
-    document = read_document(path, "gap report", ("findings",))
-    from_document(_Findings, document, f"{path}:")
-    return document
+    return read_document(path, "gap report", ("findings",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,24 +170,20 @@ class OpenFinding(KnownEffect):
     rivals: tuple[Rival, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Findings:
-    findings: tuple[OpenFinding, ...]
-    floor: Mapping[str, float] | None = None
-
-
 def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]:
     """Read the findings of a ``gap.json`` that have rivals, and the noise floor of its channels [N m, N].
 
     Raises InputError naming the file and the fault, or that no finding is open.
     """
-    document = from_document(_Findings, read_gap(path), f"{path}:")
-    findings = [finding for finding in document.findings if finding.rivals]
+    document = read_gap(path)
+    found = from_document(tuple[OpenFinding, ...], document["findings"], f"{path}: findings")
+    findings = [finding for finding in found if finding.rivals]
     for rival in (rival for finding in findings for rival in finding.rivals):
         effect_class(rival.effect)
     if not findings:
         raise InputError(f"{path}: no finding has a rival; nothing to discriminate")
-    return findings, {name: value for name, value in (document.floor or {}).items() if np.isfinite(value)}
+    floor = from_document(dict[str, float], document.get("floor") or {}, f"{path}: floor")
+    return findings, {name: value for name, value in floor.items() if np.isfinite(value)}
 
 
 def is_open(result: GapResult) -> bool:

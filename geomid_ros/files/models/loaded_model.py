@@ -22,7 +22,6 @@ from geomid_ros.files.models.effects_file import (
     combined,
     is_payload,
     is_payload_name,
-    payload_parameters,
     tilted_gravity,
     updated_effects,
 )
@@ -68,14 +67,13 @@ class LoadedModel:
     @staticmethod
     def of(file: EstimateFile) -> LoadedModel:
         """Convert the content of such a file. Raises InputError naming its fault."""
-        information = file.known_information
         models = {reader: fitted_model_of(file, reader) for reader in file.handover}
         fitted = {reader: written.with_payloads_in_links for reader, written in models.items() if written}
         return LoadedModel(
             source=file.source,
             inertias=file.inertias,
             effects=tuple(file.known_effects),
-            links_information=information,
+            links_information=file.known_information,
             merged=file.merged,
             warning=file.warning,
             fitted_models=fitted,
@@ -196,22 +194,23 @@ class LoadedModel:
             names = f"{', '.join(self.inertias) or 'none'}; those of this robot: {', '.join(model.body_names)}"
             raise InputError(f"{self.source}: an estimate of another robot. Its links: {names}")
         self._check_merged(model)
-        inertias = [
-            self.inertias.get(name, np.full(10, np.nan)) + self._payload(name, model) for name in model.body_names
-        ]
+        carriers = [name for name in model.body_names if name in self.inertias]
+        for effect in self.effects:
+            if is_payload(effect) and effect.link not in carriers:
+                raise InputError(f"{self.source}: {unknown_name('link with a payload', effect.link, carriers)}")
+        inertias = WrittenModel(self.inertias, self.effects).with_payloads_in_links.inertias
         stored = self._coefficients
         coefficients = np.array([stored.get((c.effect, c.place_name, c.parameter), np.nan) for c in model.coefficients])
         positive = np.array([c.effect.column_parameters[c.index].above == 0.0 for c in model.coefficients], dtype=bool)
         if np.any(coefficients[positive] <= 0.0) or np.any(np.isinf(coefficients)):
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
-        return np.concatenate([*inertias, coefficients])
+        return np.concatenate([*(inertias.get(name, np.full(10, np.nan)) for name in model.body_names), coefficients])
 
     def shape_mask(self, model: MeasurementModel) -> BoolArray:
         """Boolean mask ``(coefficients,)`` of ``model``: False for another shape of a mechanism that is known."""
-        is_known = [(c.effect, c.place_name, c.parameter) in self._coefficients for c in model.coefficients]
-        mechanisms = {c.mechanism for c, known in zip(model.coefficients, is_known, strict=True) if known}
-        pairs = zip(model.coefficients, is_known, strict=True)
-        return np.array([known or c.mechanism not in mechanisms for c, known in pairs], dtype=bool)
+        pairs = [(c.mechanism, (c.effect, c.place_name, c.parameter) in self._coefficients) for c in model.coefficients]
+        mechanisms = {mechanism for mechanism, is_known in pairs if is_known}
+        return np.array([is_known or mechanism not in mechanisms for mechanism, is_known in pairs], dtype=bool)
 
     def _check_merged(self, model: MeasurementModel) -> None:
         """Raise InputError if a body consists of other links than the body of this name in the file. Links without a
@@ -248,16 +247,6 @@ class LoadedModel:
         places = [10 * list(self.inertias).index(name) for name in model.body_names]
         rows = np.concatenate([self.links_information.rows[:, place : place + 10] for place in places], axis=1)
         return LinksInformation(rows, self.links_information.residuals)
-
-    def _payload(self, body: str, model: MeasurementModel) -> FloatArray:
-        """Parameters ``(10,)`` of a body's payload."""
-        total = np.zeros(10)
-        for effect in self.effects:
-            if is_payload(effect) and effect.link not in model.body_names:
-                raise InputError(f"{self.source}: {unknown_name('link with a payload', effect.link, model.body_names)}")
-            if is_payload(effect) and effect.link == body:
-                total += payload_parameters(values_of(effect))
-        return total
 
 
 def _is_situational(effect: KnownEffect) -> bool:

@@ -235,7 +235,9 @@ class _Writer:
     def _add_joints(self, body: Element, joint: JointFrame) -> None:
         """Add the joint itself, and its second hinges."""
         kind = {"type": "slide" if joint.slides else "hinge", "axis": number_text(joint.axis)}
-        element = SubElement(body, "joint", {"name": joint.name, **kind, **self._dynamics(joint)})
+        numbers = self._joint_attributes[joint.name] | {"armature": self._rotor(joint)}
+        dynamics = {name: number_text(number) for name, number in sorted(numbers.items()) if number != 0.0}
+        element = SubElement(body, "joint", {"name": joint.name, **kind, **dynamics})
         if joint.lower < joint.upper and math.isfinite(joint.lower + joint.upper):
             element.attrib |= {"limited": "true", "range": number_text([joint.lower, joint.upper])}
         hinges = self._hinges(joint)
@@ -244,10 +246,6 @@ class _Writer:
             if hinge is not hinges[-1]:
                 attributes["armature"] = number_text(_SMALL_ROTOR * self._distal_inertia(joint))
             SubElement(body, "joint", {"name": f"{joint.name}/{hinge.name}", **kind, **attributes})
-
-    def _dynamics(self, joint: JointFrame) -> dict[str, str]:
-        numbers = self._joint_attributes[joint.name] | {"armature": self._rotor(joint)}
-        return {name: number_text(number) for name, number in sorted(numbers.items()) if number != 0.0}
 
     def _hinges(self, joint: JointFrame) -> list[Hinge]:
         """Additional hinges distal to a joint's own."""

@@ -1,21 +1,30 @@
-"""``posterior.npz``: the joint posterior of links and effects, and the model's remainder, next to ``estimate.json``.
+"""``posterior.npz``, next to ``estimate.json``: joint posterior of links and effects, and the model's remainder; and
+``population.json``: the distribution of robots of one type, written by ``geomid fleet`` and read as a prior.
 
-A NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format``, ``links`` (``name``, ``merged``) and
-``effects`` (``name``, ``place``, ``parameter``, ``unit``, ``positive``). The float64 arrays are fields of
-:class:`~geomid_ros.estimation.posterior.Posterior`, which describes them; ``prior_spreads`` is ``prior_stds``.
+The first is a NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format``, ``links`` (``name``,
+``merged``) and ``effects`` (``name``, ``place``, ``parameter``, ``unit``, ``positive``). The float64 arrays are fields
+of :class:`~geomid_ros.estimation.posterior.Posterior`, which describes them; ``prior_spreads`` is ``prior_stds``.
 
 From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
 :class:`~geomid_ros.gap.evidence.features.KnownRemainder`. Then ``knots`` are those of its basis. Each channel has
 ``scales_N``, ``mean_N``, which is empty if nothing is known, and ``triangle_N``: the upper triangle, row by row, in
 float32.
+
+In ``population.json``, ``links`` have ``name``, ``mass``, ``com`` and ``inertia`` as in ``estimate.json``. ``effects``
+have ``name``, ``place``, ``parameter``, ``unit``, ``positive``, ``value`` and, if not positive, ``scale``.
+``covariance`` is the upper triangle, row by row, of the covariance of a robot's tangent coordinates at these values:
+little-endian float64 in base64. The coordinates of a link belong to the symmetric matrix X in ``P^1/2 exp(X) P^1/2``,
+where P is its pseudo-inertia ``[[S, h], [h, m]]`` about the link's origin: X11, X22, X33, X44, and sqrt(2) times X12,
+X13, X14, X23, X24, X34. A positive coefficient c becomes ``c exp(x)``, another coefficient r with scale s ``r + s x``.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import math
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +33,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.files.disk import read_bytes, write_bytes
-from geomid_ros.files.schema import from_document, from_upper_triangle, to_document
+from geomid_ros.files import schema
+from geomid_ros.files.disk import read_bytes, write_bytes, write_json
+from geomid_ros.files.models.estimate_file import LinkEntry, inertias_of, link_entry
+from geomid_ros.files.schema import from_document, from_upper_triangle, to_base64, to_document, upper_triangle
 from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis, KnownRemainder
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import AnyArray, FloatArray, IntArray, frozen
@@ -62,7 +74,8 @@ def write_posterior(path: Path, posterior: Posterior, remainder: KnownRemainder 
     }
     arrays = {"scales": posterior.scales, "covariance": posterior.covariance}
     arrays |= {name: getattr(posterior, attribute) for name, attribute in _VECTORS.items()}
-    if remainder is not None and _size_of(remainder) < 8 * _MOST_PARAMETERS**2 and not _objection(remainder):
+    size = sum(4 * len(mean) * (len(mean) + 5) for mean in remainder.means) if remainder else 0  # upper bound [bytes]
+    if remainder is not None and size < 8 * _MOST_PARAMETERS**2 and not _objection(remainder):
         header["remainder"] = {"joints": remainder.joints, "channels": remainder.channels}
         arrays |= _arrays_of(remainder)
     content = io.BytesIO()
@@ -129,7 +142,7 @@ def read_remainder(path: Path) -> KnownRemainder | None:
     with _opened(path) as (arrays, header):
         if header.remainder is None:
             return None
-        joints, channels = header.remainder.joints, header.remainder.channels
+        joints, channels = header.remainder["joints"], header.remainder["channels"]
         knots, scales, means, triangles = _numbers(arrays, "knots", (len(joints), 3, 2)), [], [], []
         for place in range(len(channels)):
             size, columns = len(arrays[f"mean_{place}"]), len(arrays[f"scales_{place}"])
@@ -156,18 +169,12 @@ class _Link:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OfRemainder:
-    joints: tuple[str, ...]
-    channels: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Header:
     """Schema of the JSON text."""
 
     links: tuple[_Link, ...]
     effects: tuple[EffectCoordinate, ...]
-    remainder: _OfRemainder | None = None
+    remainder: Mapping[str, tuple[str, ...]] | None = None
 
 
 @contextmanager
@@ -188,19 +195,13 @@ def _opened(path: Path) -> Iterator[tuple[_Arrays, _Header]]:
 
 def _unpacked(content: bytes) -> _Arrays:
     """All arrays. Refuses compressed ones, as they may be larger than any memory."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
-            raise InputError("its arrays are compressed")
     with np.load(io.BytesIO(content), allow_pickle=False) as members:
+        if any(member.compress_type != zipfile.ZIP_STORED for member in members.zip.infolist()):
+            raise InputError("its arrays are compressed")
         arrays = dict(members)
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise InputError("contains an object that is not an array")
     return arrays
-
-
-def _size_of(remainder: KnownRemainder) -> int:
-    """Upper bound of its size [bytes]."""
-    return sum(4 * len(mean) * (len(mean) + 5) for mean in remainder.means)
 
 
 def _objection(remainder: KnownRemainder) -> str:
@@ -220,7 +221,7 @@ def _arrays_of(remainder: KnownRemainder) -> dict[str, FloatArray]:
     for place, (scales, mean, triangle) in enumerate(
         zip(remainder.basis.scales, remainder.means, remainder.triangles, strict=True)
     ):
-        rows = triangle[np.triu_indices(len(triangle))].astype(np.float32)
+        rows = upper_triangle(triangle).astype(np.float32)
         arrays |= {f"scales_{place}": scales, f"mean_{place}": mean, f"triangle_{place}": rows}
     return arrays
 
@@ -247,3 +248,88 @@ def _numbers(arrays: _Arrays, name: str, shape: tuple[int, ...], kind: type[np.f
         expected = f"finite {np.dtype(kind)} of {shape}"
         raise InputError(f"'{name}' is {array.dtype} of shape {array.shape}, expected {expected}")
     return frozen(array)
+
+
+_NUMBER = "<f8"
+_OF_EFFECT = ("name", "place", "parameter", "unit", "positive")
+
+
+def write_population(path: Path, population: Population) -> None:
+    """Write a population. Raises GeomidError naming the file."""
+    write_json(path, population_document(population))
+
+
+def population_document(population: Population) -> dict[str, Any]:
+    """Make the document of ``population.json``."""
+    first = 10 * len(population.links)
+    bodies = population.parameters[:first].reshape(-1, 10)
+    scales = iter(population.scales.tolist())
+    values = population.parameters[first:].tolist()
+    return {
+        "format": schema.FORMAT,
+        "robots": population.robots,
+        "links": [link_entry(name, (), parameters) for name, parameters in zip(population.links, bodies, strict=True)],
+        "effects": [
+            to_document(effect) | {"value": value} | ({} if effect.positive else {"scale": next(scales)})
+            for effect, value in zip(population.effects, values, strict=True)
+        ],
+        "covariance": to_base64(upper_triangle(population.covariance), _NUMBER),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class _EffectOfPopulation(EffectCoordinate):
+    value: float
+    scale: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PopulationDocument:
+    robots: int
+    links: tuple[LinkEntry, ...]
+    effects: tuple[_EffectOfPopulation, ...]
+    covariance: str
+
+
+def read_population(path: Path) -> Population:
+    """Read a population. Raises InputError naming the file and its fault."""
+    document = schema.read_document(path, "population", ("robots", "links", "effects", "covariance"))
+    content = from_document(_PopulationDocument, document, f"{path}:")
+    inertias, effects = inertias_of(content.links, str(path)), content.effects
+    try:
+        triangle = schema.triangle_from_base64(content.covariance, _NUMBER, 10 * len(inertias) + len(effects))
+    except ValueError as error:
+        raise InputError(
+            f"{path}: covariance is not of its links and effects ({error!r:.200}); run geomid fleet again"
+        ) from error
+    covariance = triangle + np.triu(triangle, 1).T
+    values = np.array([effect.value for effect in effects])
+    scales = np.array([effect.scale for effect in effects if not effect.positive])
+    coordinates = tuple(EffectCoordinate(**{key: getattr(effect, key) for key in _OF_EFFECT}) for effect in effects)
+    _check_population(path, coordinates, values, scales, covariance)
+    return Population(
+        links=tuple(inertias),
+        effects=coordinates,
+        parameters=frozen(np.concatenate([*inertias.values(), values])),
+        covariance=frozen(covariance),
+        scales=frozen(scales),
+        robots=content.robots,
+    )
+
+
+def _check_population(
+    path: Path, effects: Sequence[EffectCoordinate], values: FloatArray, scales: FloatArray, covariance: FloatArray
+) -> None:
+    """Raise InputError for an invalid population."""
+    positive = np.array([effect.positive for effect in effects], dtype=bool)
+    valid = (
+        len({(effect.name, effect.place, effect.parameter, effect.unit) for effect in effects}) == len(effects)
+        and bool(np.all(np.diff(positive.astype(int)) <= 0))  # the positive ones come first
+        and bool(np.all(np.isfinite(values)) and np.all(values[positive] > 0.0) and np.all(scales > 0.0))
+        and bool(np.all(np.isfinite(covariance)) and np.all(np.diag(covariance) > 0.0))
+    )
+    if valid:
+        deviations = np.sqrt(np.diag(covariance))
+        valid = bool(np.linalg.eigvalsh(covariance / np.outer(deviations, deviations))[0] > 0.0)
+    if not valid:
+        raise InputError(f"{path}: its effects or its covariance are none that robots can have; run geomid fleet again")

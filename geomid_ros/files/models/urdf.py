@@ -12,7 +12,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -155,20 +155,22 @@ def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
         element = data[slice(*span)] if (span := joints[name].child) else b""
         there = {key: zero for key, zero in zeros.items() if re.search(rb"\s" + key.encode() + rb"\s*=", element)}
         attributes[name] = attributes.get(name, {}) | there
-    edits = [_dynamics(data, joints[name], numbers) for name, numbers in attributes.items() if numbers]
-    end = data.rindex(b"</robot")
-    payloads = [_payload(effect, links, joints) for effect in effects if is_payload(effect)]
-    edits.append((end, end, b"".join(payloads)))
+    edits = [_at_end(data, "".join(_payload(effect, links, joints) for effect in effects if is_payload(effect)))]
+    for name, numbers in attributes.items():
+        if numbers:  # the other attributes of the element remain
+            element = data[slice(*span)] if (span := joints[name].child) else b"<dynamics/>"
+            texts = {key: f"{value:.9g}" for key, value in numbers.items()}
+            edits.append(insertion(data, joints[name], with_attributes(element, texts)))
     return edited(data, edits).decode()
 
 
-def _dynamics(data: bytes, joint: Span, numbers: Mapping[str, float]) -> Edit:
-    """Edit that sets these attributes of a joint's <dynamics>; its other attributes remain."""
-    element = data[slice(*joint.child)] if joint.child else b"<dynamics/>"
-    return insertion(data, joint, with_attributes(element, {name: f"{value:.9g}" for name, value in numbers.items()}))
+def _at_end(data: bytes, text: str) -> Edit:
+    """Edit that appends a text to the robot's elements."""
+    end = data.rindex(b"</robot")
+    return end, end, text.encode()
 
 
-def _payload(effect: KnownEffect, links: Mapping[str, Span], joints: Mapping[str, Span]) -> bytes:
+def _payload(effect: KnownEffect, links: Mapping[str, Span], joints: Mapping[str, Span]) -> str:
     name = payload_name(effect.link)
     while name in links or name in joints:
         name += "_"
@@ -176,7 +178,7 @@ def _payload(effect: KnownEffect, links: Mapping[str, Span], joints: Mapping[str
     return (
         f'  <link name="{name}">\n    {inertial}\n  </link>\n  <joint name="{name}" type="fixed">\n'
         f'    <parent link="{effect.link}"/>\n    <child link="{name}"/>\n  </joint>\n'
-    ).encode()
+    )
 
 
 _DRAKE = 'xmlns:drake="http://drake.mit.edu"'
@@ -195,17 +197,22 @@ def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
         for joint in transmission.findall("joint")
     }
     spans = spans_of(data, _ROBOT, "transmission", "actuator")
-    end, edits, added = data.rindex(b"</robot"), [], b""
+    edits, added = list[Edit](), ""
     for joint, attributes in joint_attributes(effects, "actuator").items():
-        inside = _rotor(attributes["drake:rotor_inertia"])
-        span = spans.get(transmissions.get(joint) or "")
-        if span and span.child:
-            actuator = _OF_DRAKE.sub(b"", data[slice(*span.child)])
+        value = f'value="{attributes["drake:rotor_inertia"]:.9g}"'
+        inside = f'<drake:rotor_inertia {_DRAKE} {value}/>\n      <drake:gear_ratio {_DRAKE} value="1"/>'
+        place = spans.get(transmissions.get(joint) or "")
+        if place and place.child:
+            actuator = _OF_DRAKE.sub(b"", data[slice(*place.child)])
             start = Span("actuator", (0, end_of_tag(actuator, 0)))
-            edits.append((*span.child, edited(actuator, [insertion(actuator, start, inside)])))
+            edits.append((*place.child, edited(actuator, [insertion(actuator, start, inside.encode())])))
         else:
             added += _transmission(joint, inside)
-    return edited(data, [*edits, *_massless(urdf, source), *_without_friction(data), (end, end, added)]).decode()
+    for span in spans_of(data, _ROBOT, "joint", "dynamics").values():
+        if span.child:
+            element = _FRICTION.sub(b"", data[slice(*span.child)])
+            edits.append((*span.child, element if b"=" in element else b""))
+    return edited(data, [*edits, *_massless(urdf, source), _at_end(data, added)]).decode()
 
 
 def _massless(urdf: str, source: str) -> list[Edit]:
@@ -219,27 +226,13 @@ def _massless(urdf: str, source: str) -> list[Edit]:
     return [(*span.child, b"") for name in weightless if name and (span := spans[name]).child]
 
 
-def _without_friction(data: bytes) -> Iterator[Edit]:
-    """Edits that delete the dry friction in <dynamics>, and elements that have nothing else."""
-    for joint in spans_of(data, _ROBOT, "joint", "dynamics").values():
-        if joint.child:
-            element = _FRICTION.sub(b"", data[slice(*joint.child)])
-            yield (*joint.child, element if b"=" in element else b"")
-
-
-def _rotor(inertia: float) -> bytes:
-    return (
-        f'<drake:rotor_inertia {_DRAKE} value="{inertia:.9g}"/>\n      <drake:gear_ratio {_DRAKE} value="1"/>'
-    ).encode()
-
-
-def _transmission(joint: str, inside: bytes) -> bytes:
+def _transmission(joint: str, inside: str) -> str:
     name = _quoted(joint)
     return (
         f"  <transmission name={_quoted(joint + '_transmission')}>\n"
         f"    <type>transmission_interface/SimpleTransmission</type>\n    <joint name={name}/>\n"
-        f"    <actuator name={name}>\n      {inside.decode()}\n    </actuator>\n  </transmission>\n"
-    ).encode()
+        f"    <actuator name={name}>\n      {inside}\n    </actuator>\n  </transmission>\n"
+    )
 
 
 def _quoted(text: str) -> str:
@@ -258,8 +251,7 @@ def for_gazebo(urdf: str, effects: Iterable[KnownEffect]) -> str:
         + "  </gazebo>\n"
         for joint, attributes in joint_attributes(effects, "gazebo").items()
     )
-    end = data.rindex(b"</robot")
-    return edited(data, [(end, end, added.encode())]).decode()
+    return edited(data, [_at_end(data, added)]).decode()
 
 
 @dataclass(frozen=True, eq=False)
