@@ -149,7 +149,7 @@ PARAMETERS = (
         "joint_commands",
     ),
     Parameter("command.delay", 0.0, "time until a command acts [s]; the remaining delay is identified", -0.5, 0.5),
-    Parameter("motors", _NONE, "joints in the order of the motors in Unitree's LowState and LowCmd (unitree_go)"),
+    Parameter("motors", _NONE, "joints in the order of the motors in Unitree's LowState and LowCmd"),
     Parameter("merge_joint_states", False, "joint_states has several publishers, each with some of the joints"),
     Parameter("effort_gain", 1.0, "factor from message efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
     Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),

@@ -39,7 +39,7 @@ from geomid_ros.session.training import Training, check_measured
 from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
-from geomid_ros.signals.unitree import LOW_STATE
+from geomid_ros.signals.unitree import STATES
 from geomid_ros.types import FloatArray
 
 _LENGTHS = 0.1  # largest relative difference in duration of two recordings of one motion
@@ -373,8 +373,8 @@ class GapReader:
     def _first_stamps(self, path: Path) -> list[int]:
         with Bag(path) as bag:
             name, option = self.bags.topics.joint_states, "--joint-topic"
-            topic = bag.find_topic(name, message_type(JOINT_STATES), option, LOW_STATE)
-            if bag.topics[topic] == LOW_STATE:
+            topic = bag.find_topic(name, message_type(JOINT_STATES), option, STATES)
+            if bag.topics[topic] in STATES:
                 return [message.time for message in islice(bag.raw_messages([topic]), MESSAGES_FOR_RATE)]
             first = [parse(JOINT_STATES, raw) for _, _, raw in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
         # A driver may publish more often than it measures.

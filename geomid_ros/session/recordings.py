@@ -257,7 +257,7 @@ def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, li
     requested |= {sensor.topic: (sensor.topic, _WRENCH_OPTION) for sensor in session.model.sensors}
     resolved: dict[str, list[str]] = {}
     for role, (name, option) in requested.items():
-        resolved.setdefault(bag.find_topic(name, message_type(role), option, KINDS.get(role, "")), []).append(role)
+        resolved.setdefault(bag.find_topic(name, message_type(role), option, KINDS.get(role, ())), []).append(role)
     return resolved
 
 

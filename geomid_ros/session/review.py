@@ -363,7 +363,7 @@ class Review:
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are from another recording, and which parts of it are missing."""
         self.check.begin_recording(bag.path.name)
-        self._imus += [topic for topic, kind in bag.topics.items() if kind in (message_type(IMU), KINDS[IMU])]
+        self._imus += [topic for topic, kind in bag.topics.items() if kind in (message_type(IMU), *KINDS[IMU])]
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
         self._unchecked += [] if bag.has_checksums else [bag.path.name]
 

@@ -2,7 +2,7 @@
 
 They are read by byte offsets, as all their fields have fixed sizes: their package is not needed. They have no stamp, so
 the time of arrival is used, and no names, so those of the motors are used
-(https://github.com/unitreerobotics/unitree_ros2, ``unitree_go/msg``). Robots of ``unitree_hg`` send other messages.
+(https://github.com/unitreerobotics/unitree_ros2: ``unitree_go/msg`` of quadrupeds, ``unitree_hg/msg`` of humanoids).
 """
 
 from __future__ import annotations
@@ -20,20 +20,44 @@ from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, LITTLE_ENDI
 from geomid_ros.types import FloatArray
 
 LOW_STATE, LOW_CMD = "unitree_go/msg/LowState", "unitree_go/msg/LowCmd"
-KINDS = {JOINT_STATES: LOW_STATE, IMU: LOW_STATE, COMMANDS: LOW_CMD}
-"""Type that replaces the ROS type of each topic."""
+HUMANOID_STATE, HUMANOID_CMD = "unitree_hg/msg/LowState", "unitree_hg/msg/LowCmd"
+STATES = LOW_STATE, HUMANOID_STATE
+KINDS = {JOINT_STATES: STATES, IMU: STATES, COMMANDS: (LOW_CMD, HUMANOID_CMD)}
+"""Types that replace the ROS type of each topic."""
 
-_MOTORS = 20
-_SENSED = slice(44, 68)  # gyroscope and accelerometer, three numbers each
-# Size and offset of the first motor in bytes, with the four of the encapsulation; and a motor in single
-# precision: q, dq, tau_est; q, dq, tau, kp, kd.
+
+@dataclass(frozen=True)
+class _Layout:
+    """Bytes of a message, with the four of its encapsulation.
+
+    Attributes:
+        size: bytes of the message.
+        motors: number of motors.
+        first: offset of the first motor's position.
+        stride: bytes from one motor to the next.
+        offsets: of a motor's numbers, in single precision, from its position on: q, dq, tau_est of a state; q, dq,
+            tau, kp, kd of a command.
+        sensed: offset of the gyroscope's three numbers, which the accelerometer's follow; 0 for a command.
+    """
+
+    size: int
+    motors: int
+    first: int
+    stride: int
+    offsets: tuple[int, ...]
+    sensed: int = 0
+
+    def numbers(self, data: bytes, motors: int) -> FloatArray:
+        """Numbers ``(3 or 5, motors)`` of the first motors."""
+        first = [self.first + offset for offset in self.offsets]
+        return np.array([np.ndarray(motors, "<f4", data, place, self.stride) for place in first], float)
+
+
 _LAYOUTS = {
-    LOW_STATE: (1180, 84, np.dtype({"names": "qdt", "formats": ["<f4"] * 3, "offsets": (0, 4, 12), "itemsize": 48})),
-    LOW_CMD: (
-        812,
-        28,
-        np.dtype({"names": "qdtkv", "formats": ["<f4"] * 5, "offsets": range(0, 20, 4), "itemsize": 36}),
-    ),
+    LOW_STATE: _Layout(1180, 20, 84, 48, (0, 4, 12), sensed=44),
+    LOW_CMD: _Layout(812, 20, 28, 36, (0, 4, 8, 12, 16)),
+    HUMANOID_STATE: _Layout(2092, 35, 76, 56, (0, 4, 12), sensed=36),
+    HUMANOID_CMD: _Layout(1004, 35, 8, 28, (0, 4, 8, 12, 16)),
 }
 
 
@@ -55,16 +79,13 @@ class UnitreeMessages:
     _state: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
 
     @cached_property
+    def _misnamed(self) -> list[str]:
+        """Joints that are not once among the motors."""
+        return [joint for joint in self.joints if self.motors.count(joint) != 1]
+
+    @cached_property
     def _gains(self) -> FloatArray:
-        """Gains kp and kd ``(2, motors)``, NaN where there are none. Raises InputError for too many motors, or a joint
-        that is not once among them."""
-        wrong = [joint for joint in self.joints if self.motors.count(joint) != 1]
-        if wrong or len(self.motors) > _MOTORS:
-            raise InputError(
-                f"{self.source}: motors: expected up to {_MOTORS} joints in the order of {LOW_STATE}, with "
-                f"'{(wrong or self.joints)[0]}' once among them, as in config/quadruped.yaml; there are: "
-                f"{', '.join(self.motors) or 'none'}"
-            )
+        """Gains kp and kd ``(2, motors)``, NaN where there are none."""
         gains = np.full((2, len(self.motors)), np.nan)
         if self.controller is not None:
             gains[:, [self.motors.index(joint) for joint in self.joints]] = self.controller.kp, self.controller.kd
@@ -101,16 +122,22 @@ class UnitreeMessages:
 
         Raises:
             ValueError: it is not of this kind.
+            InputError: there are too many motors, or a joint is not once among them.
         """
-        size, first, motor = _LAYOUTS[kind]
-        if len(data) < size or data[:2] != LITTLE_ENDIAN:
-            raise ValueError(f"{len(data)} bytes, expected {size}, little-endian")
-        motors = np.ndarray(self._gains.shape[1], motor, data, first)
-        numbers = np.array([motors[name] for name in motor.names or ()], dtype=float)
-        if kind == LOW_CMD:
+        layout = _LAYOUTS[kind]
+        if self._misnamed or len(self.motors) > layout.motors:
+            raise InputError(
+                f"{self.source}: motors: expected up to {layout.motors} joints in the order of {kind}, with "
+                f"'{(self._misnamed or self.joints)[0]}' once among them, as in config/quadruped.yaml and "
+                f"config/humanoid.yaml; there are: {', '.join(self.motors) or 'none'}"
+            )
+        if len(data) < layout.size or data[:2] != LITTLE_ENDIAN:
+            raise ValueError(f"{len(data)} bytes, expected {layout.size}, little-endian")
+        numbers = layout.numbers(data, len(self.motors))
+        if not layout.sensed:
             return {COMMANDS: self._joint_state(time, self._set_points(*numbers))} if self._state.size else {}
         self._state = numbers
-        sensed = np.frombuffer(data[_SENSED], "<f4").astype(float)
+        sensed = np.frombuffer(data, "<f4", 6, layout.sensed).astype(float)
         return {JOINT_STATES: self._joint_state(time, numbers), IMU: _imu(time, sensed)}
 
     def _set_points(

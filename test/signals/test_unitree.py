@@ -12,6 +12,7 @@ from geomid_ros.signals.unitree import LOW_CMD, LOW_STATE, UnitreeMessages
 
 from .unitree import low_cmd, low_state
 
+PACKAGES = ["unitree_go", "unitree_hg"]
 MOTORS = ["knee", "spare", "a much longer hip"]
 JOINTS = ["a much longer hip", "knee"]
 TIME = 1_700_000_000_123_456_789
@@ -27,8 +28,10 @@ def read(topic: str, data: bytes) -> Any:
     return parse(topic, message_types().deserialize_cdr(data, message_type(topic)))
 
 
-def test_a_state_is_joint_states_and_an_imu_at_the_time_at_which_it_came() -> None:
-    found = messages().translated(LOW_STATE, TIME, low_state(STATE, GYROSCOPE, ACCELEROMETER))
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_state_is_joint_states_and_an_imu_at_the_time_at_which_it_came(package: str) -> None:
+    data = low_state(STATE, GYROSCOPE, ACCELEROMETER, package)
+    found = messages().translated(f"{package}/msg/LowState", TIME, data)
     joints, imu = (read(topic, found[topic]) for topic in (JOINT_STATES, IMU))
     assert (joints.stamp, imu.stamp) == (TIME, TIME)
     assert joints.names == tuple(MOTORS)
@@ -39,15 +42,17 @@ def test_a_state_is_joint_states_and_an_imu_at_the_time_at_which_it_came() -> No
     assert numbers[4] == -1.0, "its orientation is not known"
 
 
+@pytest.mark.parametrize("package", PACKAGES)
 @pytest.mark.parametrize("kp", [20.0, 35.0])
-def test_set_points_mean_the_efforts_of_the_gains_that_come_with_them(kp: float) -> None:
+def test_set_points_mean_the_efforts_of_the_gains_that_come_with_them(kp: float, package: str) -> None:
     """Where the motors were last, with the controller's own gains: the hip's come with the command, the knee's are the
     known ones, and its set-points stay as they are."""
     controller = PDController(np.array([20.0, 50.0]), np.array([0.5, 1.0]))
     own = messages(controller)
-    own.translated(LOW_STATE, TIME, low_state(STATE, GYROSCOPE, ACCELEROMETER))
+    own.translated(f"{package}/msg/LowState", TIME, low_state(STATE, GYROSCOPE, ACCELEROMETER, package))
     knee, hip = np.array([0.75, 0.0, 1.0, 50.0, 1.0]), np.array([1.25, 3.0, 0.5, kp, 0.5])
-    found = read(COMMANDS, own.translated(LOW_CMD, TIME + 5, low_cmd([knee, knee, hip]))[COMMANDS])
+    commanded = own.translated(f"{package}/msg/LowCmd", TIME + 5, low_cmd([knee, knee, hip], package))
+    found = read(COMMANDS, commanded[COMMANDS])
     assert (found.stamp, found.names) == (TIME + 5, tuple(MOTORS))
     commands = np.array(found.arrays)[:, [2, 0]]
     efforts = controller.efforts(commands[None], STATE[[2, 0], 0], STATE[[2, 0], 1])[0]
@@ -67,9 +72,11 @@ def test_motors_that_no_robot_has_are_refused(motors: list[str]) -> None:
         own.translated(LOW_STATE, TIME, low_state(STATE, GYROSCOPE, ACCELEROMETER))
 
 
-def test_bytes_of_another_form_are_refused() -> None:
-    with pytest.raises(ValueError, match="1179 bytes, expected 1180"):
-        messages().translated(LOW_STATE, TIME, low_state(STATE, GYROSCOPE, ACCELEROMETER)[:-1])
+@pytest.mark.parametrize("package", PACKAGES)
+def test_bytes_of_another_form_are_refused(package: str) -> None:
+    data = low_state(STATE, GYROSCOPE, ACCELEROMETER, package)
+    with pytest.raises(ValueError, match=f"{len(data) - 1} bytes, expected {len(data)}"):
+        messages().translated(f"{package}/msg/LowState", TIME, data[:-1])
 
 
 def test_a_time_that_no_stamp_can_be_costs_the_message() -> None:

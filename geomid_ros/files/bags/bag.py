@@ -9,7 +9,7 @@ import os
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -78,8 +78,8 @@ class Bag:
         """Recording time of the first message [ns]; zero if there is none."""
         return min((storage.start for storage in self._storages if storage.start is not None), default=0)
 
-    def find_topic(self, name: str, message_type: str, option: str, instead: str = "") -> str:
-        """Return the topic ``name``, with or without leading slash. Its type must be ``message_type`` or ``instead``.
+    def find_topic(self, name: str, message_type: str, option: str, instead: Sequence[str] = ()) -> str:
+        """Return the topic ``name``, with or without leading slash. Its type is ``message_type`` or of ``instead``.
 
         Raises InputError otherwise, in which ``option`` tells the user where the name can be changed.
         """
@@ -89,11 +89,10 @@ class Bag:
             listing = ", ".join(f"{topic} ({kind})" for topic, kind in self.topics.items()) or "none"
             raise InputError(f"{self.path}: has no topic {wanted}; {option} names another. Its topics: {listing}")
         topic, kind = topics[wanted]
-        if kind not in (message_type, instead):
-            read = f"{message_type} or {instead}" if instead else message_type
+        if kind not in (read := (message_type, *instead)):
             raise InputError(
-                f"{self.path}: topic {topic} is of type {kind}, which is not read; expected {read}. Convert it to one "
-                f"of these, or name another topic ({option})"
+                f"{self.path}: topic {topic} is of type {kind}, which is not read; expected {' or '.join(read)}. "
+                f"Convert it to one of these, or name another topic ({option})"
             )
         return topic
 
