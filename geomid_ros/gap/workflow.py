@@ -118,11 +118,11 @@ def find_gap(
     progress("judging", 1.0)
     named_terms = {term for candidate in result.found.chosen for term in candidate.terms}
     untouched = fit_of_prior(prior)
-    problem = LinearisedProblem(bare, records, total_model(bare, untouched))
-    first = problem.residual(problem.columns((), prior.terms), untouched)
+    problem = LinearisedProblem.at(bare, records, untouched)
+    first = problem.residual(untouched)
     sure_joints = {finding.joint for finding in result.findings if finding.confidence == "confident"}
     before = folded(problem, untouched)
-    after = folded(LinearisedProblem(bare, records, total_model(bare, result.found)), result.found)
+    after = folded(LinearisedProblem.at(bare, records, result.found), result.found)
     changes = {key: after.get(key, 0.0) - before.get(key, 0.0) for key in before.keys() | after}
     return GapResult(
         verdict=verdict(analysis, files, named=is_named),
@@ -196,11 +196,9 @@ def residual_rms(
         other_effects: its other effects, which depend on its prediction of a motion: elastic gears, play.
     """
     bare, records = model.without_effects(), Records.make(samples, cutoff)
-    prior = _prior(model, nominal)
-    prior, _ = _with_other_effects(bare, records, prior, other_effects)
+    prior, _ = _with_other_effects(bare, records, _prior(model, nominal), other_effects)
     untouched = fit_of_prior(prior)
-    problem = LinearisedProblem(bare, records, total_model(bare, untouched))
-    return root_mean_square(problem.residual(problem.columns((), prior.terms), untouched))
+    return root_mean_square(LinearisedProblem.at(bare, records, untouched).residual(untouched))
 
 
 def _measured(model: MeasurementModel, records: Records) -> FloatArray:
@@ -273,7 +271,7 @@ def _with_other_effects(
     """Return the prior with these effects in addition to the coefficients, and each effect with its candidate."""
     if not others:
         return prior, []
-    situation = LinearisedProblem(model, records, total_model(model, fit_of_prior(prior))).situation
+    situation = LinearisedProblem.at(model, records, fit_of_prior(prior)).situation
     candidates, values, prior_stds = [], list(prior.values), list(prior.prior_stds)
     for effect in others:
         cls, numbers = effect_class(effect.effect), values_of(effect)
@@ -300,7 +298,7 @@ def _relative_std(candidate: Candidate, known_effect: KnownEffect) -> float:
 def _with_least_stds(model: MeasurementModel, records: Records, prior: EffectsPrior) -> EffectsPrior:
     """Let coefficients change by a small fraction of the measurement, unless they are larger than that. Next to a
     spring, an offset near zero is known no better than the spring's rest. Changes of larger ones must be named."""
-    problem = LinearisedProblem(model, records, total_model(model, fit_of_prior(prior)))
+    problem = LinearisedProblem.at(model, records, fit_of_prior(prior))
     least = _LEAST_SHARE * problem.typical_sizes(prior.terms)
     small = (np.abs(prior.values) < least) & np.isfinite(least)  # infinite where nothing is measured
     least = np.where(small, least, 0.0)

@@ -29,7 +29,7 @@ def designed(*seeds: int, friction: float = SMALL) -> Design:
     problem = LinearisedProblem(
         MODEL, Records.make(samples, planted.CUTOFF), total_model(MODEL, fit_of_prior(planted.prior()))
     )
-    return problem.design(problem.columns(CANDIDATES, ()), WHITE)
+    return problem.design(problem.columns(term for candidate in CANDIDATES for term in candidate.terms), WHITE)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_a_payload_is_reached_from_afar() -> None:
     )
     precise = replace(planted.prior(), inertias=inertias[list(MODEL.identified)].ravel(), prior_std=1e-3, certainty=1e4)
     payload = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)
-    found = fit(problem.design(problem.columns([payload], ()), WHITE), precise, [payload])
+    found = fit(problem.design(problem.columns(()), WHITE), precise, [payload])
     body = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[-1]
     stds = np.sqrt(np.diag(found.covariance)[found.manifold.link(found.manifold.links - 1)])
     assert np.all(np.abs(body[:4] - 0.8 * np.array([1.0, *centre])) < 3.0 * stds[:4])

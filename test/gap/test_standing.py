@@ -55,7 +55,7 @@ def test_it_is_expected_of_another_motion_as_far_as_it_says(seed: int) -> None:
     given = fit_of_prior(planted.prior(LINKS))
     records = Records.make([recorded(seed)], planted.CUTOFF)
     problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), known_remainder=standing())
-    residual = problem.residual({}, given)
+    residual = problem.residual(given)
     for channel, own in enumerate(problem.features):
         off, unsure = (
             residual[:, channel] - own.expected_remainder,
@@ -88,7 +88,7 @@ def test_fewer_rows_than_features_tell_less_and_as_much_as_they_say() -> None:
         problem = LinearisedProblem(
             MODEL, Records.make([recorded(seed)], planted.CUTOFF), total_model(MODEL, given), known_remainder=few
         )
-        own, residual = problem.features[JOINT], problem.residual({}, given)[:, JOINT]
+        own, residual = problem.features[JOINT], problem.residual(given)[:, JOINT]
         unsure = np.einsum("ij,jk,ik->i", own.columns, own.covariance, own.columns)
         assert np.std(residual - own.expected_remainder) < 0.9 * np.std(residual)
         assert 0.4 < np.sqrt(np.mean((residual - own.expected_remainder) ** 2 / (planted.NOISE**2 + unsure))) < 2.0
