@@ -12,7 +12,7 @@ from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, EffectsFit, EffectsPrior, EffectsSearch, Shapes
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
-from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
+from geomid_ros.gap.evidence.noise import Autoregression, noise_floor, runs_of
 from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records, TotalModel
 from geomid_ros.inference.fit import fit, fit_of_prior
 from geomid_ros.inference.probability import Support, Supports
@@ -195,7 +195,7 @@ def _searched(task: _Task, prior: EffectsPrior, stage: str) -> Analysis:
         inertias_only=search.fit([]),
         effects=names,
         supports=supports,
-        floor=noise_by_repeats(task.model, task.records).floor(noise),
+        floor=noise_floor(task.model, task.records, noise),
         shapes=task.shapes,
     )
 

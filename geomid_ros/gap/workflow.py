@@ -40,7 +40,6 @@ _STD_OF_IDENTIFIED = 0.05  # of a link's inertia: replaces DEFAULT_PRIOR_STD, wh
 _STD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
 _LEAST_SHARE = 0.01  # fraction of the measurement: smaller coefficients are not known more accurately
 _CERTAINTY_OF_IDENTIFIED = 100.0  # an identified model is hardly ever as wrong as a URDF
-_LEAST_STD = 1e-3
 
 
 def find_gap(
@@ -136,7 +135,7 @@ def find_gap(
         cutoff=cutoff,
         gap=files.on_all,
         moving=files.gap.after,
-        located=locate_residuals(bare, records, first, np.abs(_measured(bare, records) - first)),
+        located=locate_residuals(bare, records, first, np.abs(records.rows(bare).targets - first)),
         ranking=ranking(bare, analysis, named),
         trace=files.trace,
         bodies=bare.body_names,
@@ -201,11 +200,6 @@ def residual_rms(
     return root_mean_square(LinearisedProblem.at(bare, records, untouched).residual(untouched))
 
 
-def _measured(model: MeasurementModel, records: Records) -> FloatArray:
-    """Measured values of each channel ``(N, C)``."""
-    return model.predict(records.samples, model.nominal_parameters)[0]
-
-
 def _check(model: MeasurementModel, records: Records) -> None:
     """Refuse data from which nothing can be concluded."""
     if not records.dense or len(records.samples) < FEWEST_ROWS:
@@ -213,7 +207,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
             f"too short: {len(records.samples) if records.dense else 0} independent instants at the filter's cutoff, "
             f"at least {FEWEST_ROWS} are needed; record half a minute of motion"
         )
-    if not np.any(np.isfinite(_measured(model, records))):
+    if not np.any(np.isfinite(records.rows(model).targets)):
         names = ", ".join(channel.name for channel in model.channels)
         raise InputError(f"no effort or wrench is measured: at least one of these channels is needed: {names}")
     if np.all(records.samples.column(REST) > 0.5):
@@ -222,7 +216,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
 
 def _check_held_out(model: MeasurementModel, unseen: Records) -> None:
     """Refuse held-out data on which nothing can be evaluated."""
-    if not unseen.dense or not np.any(unseen.usable(model, _measured(model, unseen))):
+    if not unseen.dense or not np.any(unseen.usable(model, unseen.rows(model).targets)):
         raise InputError(
             "no usable held-out data: no joint with measured effort moves, and no wrench is measured, or the data are "
             "too short; hold out more (--hold-out), or a recording in motion (--validate)"
@@ -242,7 +236,7 @@ def _prior(
     coefficients = np.nan_to_num(values[size:])
     present = np.flatnonzero(coefficients)
     strengths = coefficients[present]
-    changes = np.maximum(_STD_OF_EFFECTS * np.abs(strengths), _LEAST_STD)
+    changes = _STD_OF_EFFECTS * np.abs(strengths)
     if known is not None and len(known.changes):
         known = known.of_coefficients(present, changes)
     terms = tuple(_term(model.coefficients[place]) for place in present)
@@ -314,16 +308,16 @@ def _as_simulated(model: MeasurementModel, records: Records, prior: EffectsPrior
     likely = analyse(model, records, prior.without_other_recordings, progress).likely
     inertias = total_model(model, likely).inertias[list(model.identified)].ravel()
     values = np.array([likely.value(term) for term in likely.terms])
-    prior_stds = np.maximum(_STD_OF_EFFECTS * np.abs(values), _LEAST_STD)
-    return replace(
+    simulated = replace(
         prior,
         inertias=inertias,
         terms=likely.terms,
         values=values,
-        prior_stds=prior_stds,
+        prior_stds=_STD_OF_EFFECTS * np.abs(values),
         other_recordings=None,
         alike=(),
     )
+    return _with_least_stds(model, records, simulated)
 
 
 def _coefficients(model: MeasurementModel, prior: EffectsPrior, named_terms: Collection[EffectTerm]) -> FloatArray:

@@ -24,7 +24,7 @@ from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.report import gap_words
 from geomid_ros.report.page import BEFORE, IDENTIFIED, INK, Bars, Script, write_page
-from geomid_ros.report.series import MOST_DRAWN, SCRIPT, ChannelTrace, Series, elapsed, traces
+from geomid_ros.report.series import MOST_DRAWN, SCRIPT, Series, elapsed, traces
 from geomid_ros.resimulation.resimulate import HORIZON, Kind, Resimulated
 from geomid_ros.types import FloatArray
 
@@ -187,7 +187,7 @@ def _variable(page: GapPage, channel: int) -> tuple[str, str, FloatArray]:
     return (chosen, *variables[chosen])
 
 
-def _traces(result: GapResult) -> list[ChannelTrace]:
+def _traces(result: GapResult) -> list[dict[str, Any]]:
     """Measured channels over time, those with the largest gap before first."""
     trace, times = result.trace, elapsed(result.trace.stamps)
     order = np.argsort(-np.nan_to_num(result.gap.before), kind="stable").tolist()
