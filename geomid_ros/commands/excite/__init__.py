@@ -15,6 +15,7 @@ from geomid_ros.commands.terminal import plain_table, print_remarks, progress_ba
 from geomid_ros.session.options import MotionOptions
 
 if TYPE_CHECKING:
+    from geomid_ros.excitation.belief import ExpectedUncertainty
     from geomid_ros.session.excitation import Excitation
 
 _MOTIONS = ("before", "designed", "random", "designed,\ntwice")
@@ -90,12 +91,11 @@ def _margins(design: Excitation) -> Table:
 
 
 def _links(design: Excitation) -> Table:
-    learning = design.learning
     table = plain_table("Standard deviation of the mass [kg]", ["link"], ["mass", *_MOTIONS])
     masses = design.task.belief.posterior.parameters
     for index, name in enumerate(design.task.belief.posterior.links):
-        kinds = (learning.before, learning.designed, learning.random, learning.twice)
-        table.add_row(name, f"{masses[10 * index]:.3f}", *(f"{kind.links[index, 0]:.2g}" for kind in kinds))
+        stds = (f"{stage.links[index, 0]:.2g}" for stage in _stages(design))
+        table.add_row(name, f"{masses[10 * index]:.3f}", *stds)
     return table
 
 
@@ -103,14 +103,15 @@ def _effects(design: Excitation) -> Table:
     from geomid_ros.model.effects import EFFECTS
     from geomid_ros.report.gap_words import headline
 
-    learning = design.learning
-    table = plain_table("Standard deviation of the effects", ["effect", "at"], _MOTIONS)
-    table.add_column("unit")
+    table = plain_table("Standard deviation of the effects", ["effect", "at"], _MOTIONS, ["unit"])
     for index, effect in enumerate(design.task.belief.posterior.effects):
-        kinds = (learning.before, learning.designed, learning.random, learning.twice)
-        stds = (f"{kind.effects[index]:.2g}" for kind in kinds)
-        name = headline(effect.name)
-        if not EFFECTS[effect.name].is_one_number():
-            name += f" {effect.parameter}"
-        table.add_row(name, effect.place, *stds, effect.unit)
+        parameter = "" if EFFECTS[effect.name].is_one_number() else f" {effect.parameter}"
+        stds = (f"{stage.effects[index]:.2g}" for stage in _stages(design))
+        table.add_row(headline(effect.name) + parameter, effect.place, *stds, effect.unit)
     return table
+
+
+def _stages(design: Excitation) -> tuple[ExpectedUncertainty, ...]:
+    """Expected uncertainties, in the order of the tables' columns."""
+    learning = design.learning
+    return learning.before, learning.designed, learning.random, learning.twice
