@@ -40,6 +40,7 @@ _STD_OF_IDENTIFIED = 0.05  # of a link's inertia: replaces DEFAULT_PRIOR_STD, wh
 _STD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
 _LEAST_SHARE = 0.01  # fraction of the measurement: smaller coefficients are not known more accurately
 _CERTAINTY_OF_IDENTIFIED = 100.0  # an identified model is hardly ever as wrong as a URDF
+_LEAST_STD = 1e-3
 
 
 def find_gap(
@@ -236,7 +237,7 @@ def _prior(
     coefficients = np.nan_to_num(values[size:])
     present = np.flatnonzero(coefficients)
     strengths = coefficients[present]
-    changes = _STD_OF_EFFECTS * np.abs(strengths)
+    changes = np.maximum(_STD_OF_EFFECTS * np.abs(strengths), _LEAST_STD)
     if known is not None and len(known.changes):
         known = known.of_coefficients(present, changes)
     terms = tuple(_term(model.coefficients[place]) for place in present)
@@ -308,16 +309,15 @@ def _as_simulated(model: MeasurementModel, records: Records, prior: EffectsPrior
     likely = analyse(model, records, prior.without_other_recordings, progress).likely
     inertias = total_model(model, likely).inertias[list(model.identified)].ravel()
     values = np.array([likely.value(term) for term in likely.terms])
-    simulated = replace(
+    return replace(
         prior,
         inertias=inertias,
         terms=likely.terms,
         values=values,
-        prior_stds=_STD_OF_EFFECTS * np.abs(values),
+        prior_stds=np.maximum(_STD_OF_EFFECTS * np.abs(values), _LEAST_STD),
         other_recordings=None,
         alike=(),
     )
-    return _with_least_stds(model, records, simulated)
 
 
 def _coefficients(model: MeasurementModel, prior: EffectsPrior, named_terms: Collection[EffectTerm]) -> FloatArray:
