@@ -61,13 +61,14 @@ class Store:
 
     url: str
 
-    def get(self, name: str) -> bytes | None:
-        """Content of a file; None if it does not exist. Raises InputError if it cannot be read."""
+    def get(self, name: str, missing: str = "") -> bytes:
+        """Content of a file. Raises InputError if it cannot be read, with the sentence ``missing`` if it does not
+        exist."""
         system, folder = file_system(self.url)
         try:
             content: bytes = system.cat_file(f"{folder}/{name}")
-        except FileNotFoundError:
-            return None
+        except FileNotFoundError as error:
+            raise InputError(f"{self.url}: {missing or f'{name} is missing'}") from error
         except OSError as error:
             raise InputError(f"{self.url}: cannot be read ({error})") from error
         return content

@@ -165,22 +165,18 @@ def _results(session: Session, estimate: Estimate, held_out: FloatArray | None, 
 
 
 def _kept(store: Store, name: str, session: Session) -> BagSummary:
-    content = store.get(f"{name}{SUFFIX}")
-    if content is None:
-        raise InputError(f"{store.url}: a bag's summary is missing ({name}); run the same again")
-    return BagSummary.decoded(content, session)
+    missing = f"a bag's summary is missing ({name}); run the same again"
+    return BagSummary.decoded(store.get(f"{name}{SUFFIX}", missing), session)
 
 
 @lru_cache(maxsize=4)
 def _plan(store: Store, name: str) -> FleetPlan:
     """Load the plan of that name. Raises InputError if it is of another version, or is not visible here."""
-    content = store.get(name)
-    if content is None:
-        raise InputError(
-            f"{store.url}: a worker does not see this folder; --out must be on a disk that all workers share, or "
-            "--keep a URL that they reach"
-        )
-    plan = from_document(FleetPlan, json.loads(content), f"{store.url}/{name}:")
+    missing = (
+        "a worker does not see this folder; --out must be on a disk that all workers share, or --keep a URL that they "
+        "reach"
+    )
+    plan = from_document(FleetPlan, json.loads(store.get(name, missing)), f"{store.url}/{name}:")
     if plan.version != installed_version():
         installed = installed_version()
         raise InputError(f"a worker has geomid_ros {installed}, not {plan.version}: install the same everywhere")

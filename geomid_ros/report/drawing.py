@@ -46,6 +46,7 @@ from geomid_ros.report.pictures import (
     new_figure,
     shortened,
     text_width,
+    tidy,
 )
 from geomid_ros.report.series import MOST_DRAWN, Clock, Series, limits, thinned
 from geomid_ros.session.session import Session
@@ -180,10 +181,7 @@ def _draw_channel(axes: Axes, channel: Series, clock: Clock, width: float, lowes
     axes.set_title(change, loc="right", size=9.0, pad=3.0)
     axes.tick_params(labelsize=8.5, color=FAINT, labelcolor=INK, length=2.5, labelbottom=lowest)
     axes.set_xlim(clock.seconds[0], clock.seconds[-1])
-    axes.grid(color=GRID, lw=0.7)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(FRAME)
+    tidy(axes)
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "\N{MINUS SIGN}")))
     if lowest:

@@ -93,24 +93,22 @@ def text_width(text: str, size: float, weight: str = "normal") -> float:
 
 
 def shortened(text: str, inches: float, size: float, weight: str = "normal") -> str:
-    """Shorten ``text`` to at most ``inches``; names differ at their ends, so characters in the middle are dropped."""
+    """Shorten ``text`` to about ``inches``; names differ at their ends, so characters in the middle are dropped."""
     text = one_line(text)
-    if text_width(text, size, weight) <= inches:
+    width = text_width(text, size, weight)
+    if width <= inches:
         return text
-    fitting, longest = 1, len(text) - 1
-    while fitting < longest:
-        length = (fitting + longest + 1) // 2
-        if text_width(_without_middle(text, length), size, weight) <= inches:
-            fitting = length
-        else:
-            longest = length - 1
-    return _without_middle(text, fitting)
-
-
-def _without_middle(text: str, length: int) -> str:
-    """Keep ``length`` characters at the ends of a text."""
+    length = max(1, int(len(text) * max(inches, 0.0) / width) - 2)
     head = 2 * length // 5
     return f"{text[:head]}…{text[len(text) - length + head :]}"
+
+
+def tidy(axes: Axes) -> None:
+    """Give axes a light grid, and a light frame at the left and below."""
+    axes.grid(color=GRID, lw=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(FRAME)
 
 
 # Name of the view along each world axis, and the axes to the right and up.
@@ -204,9 +202,8 @@ def torque_picture(path: Path, title: str, names: Sequence[str], drawn: FloatArr
     axes.set_yticks(places, names, parse_math=False)
     axes.invert_yaxis()
     axes.set_xscale("log")
-    axes.grid(axis="x", color=GRID)
     axes.set_xlabel("width of the 95 % band of efforts in fast motion (RMS)")
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     write_picture(path, figure)
 
@@ -243,10 +240,7 @@ def residual_svg(
             panel.plot(values, residual, ".", ms=1.5, alpha=0.65, color=color, rasterized=True)
         panel.set_ylabel(name, size=9.0, parse_math=False)
         panel.tick_params(labelsize=9.0, color=FRAME)
-        panel.grid(color=GRID, lw=0.7)
-        panel.set_axisbelow(True)
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.spines[["left", "bottom"]].set_color(FRAME)
+        tidy(panel)
     axes[-1].set_ylim(*limits)
     axes[-1].set_xlabel(label, size=9.0, parse_math=False)
     figure.align_ylabels()
