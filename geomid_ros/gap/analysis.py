@@ -271,14 +271,13 @@ def _round(
     attempt: int,
     settling: bool,
 ) -> _Round:
-    """Fit along what was found ``before``, and search from there if the columns are accurate there, with exchanges once
-    it is ``settling``. The last attempt with a search runs it to the end; later attempts do not search."""
+    """Fit along what was found ``before``, and search from there, with exchanges once it is ``settling``. The last
+    attempt with a search runs it to the end; later attempts do not search."""
     columns = problem.columns(task.terms(prior))
     design = problem.design(columns, noise)
     search = Selection(design.given(variances) if variances else design, prior, task.tried)
     names = search.within_range(search.fit(before.chosen if before else ()))
-    is_last = attempt == _ROUNDS - 1
-    searches = is_last or (attempt < _ROUNDS and _near(total_model(task.model, names), problem.total))
+    is_last, searches = attempt == _ROUNDS - 1, attempt < _ROUNDS
     if searches:  # the remainder must not absorb effects that are not named yet: they would never be found
         names = search.grow(names, to_the_end=is_last)
     search = Selection(names.with_fitted_remainder(design), prior, task.tried)
@@ -286,17 +285,6 @@ def _round(
     if searches:
         names = search.optimise(names) if settling else search.grow(names, to_the_end=is_last)
     return _Round(problem, columns, search, names)
-
-
-def _near(current: TotalModel, linearised_at: TotalModel) -> bool:
-    """True if columns linearised at one total model are accurate at the other."""
-    before = {(effect, place): coefficients for effect, place, coefficients in linearised_at.effects}
-    after = {(effect, place): coefficients for effect, place, coefficients in current.effects}
-    return all(
-        bool(np.all(np.abs(after.get(key, 0.0) - before.get(key, np.zeros(1))) < key[0].relinearise_beyond))
-        for key in {**before, **after}
-        if key[0].relinearise_beyond
-    )
 
 
 def _same(previous: EffectsFit | None, current: EffectsFit) -> bool:
