@@ -68,7 +68,8 @@ class HeldOut:
         """True for the channels ``(C,)`` whose gap exceeds noise and the uncertainty of the fit, both with the known
         remainder and without: it may not hold for another motion."""
         # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
-        limit = GAP_ABOVE * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) * self.gap.expected
+        counts = np.maximum(np.count_nonzero(self._last.valid, axis=0), 1)
+        limit = GAP_ABOVE * (1.0 + 2.0 / np.sqrt(2.0 * counts)) * self.gap.expected
         without_standing = self._times_floor(self._residuals[-1] - self._last.expected_remainder)
         after = np.minimum(self.gap.after, without_standing)
         return np.asarray(np.nan_to_num(after) >= np.nan_to_num(limit, nan=np.inf))
@@ -100,11 +101,6 @@ class HeldOut:
         """Variables that explain each channel's remainder."""
         residual = np.where(self._last.valid, self._residuals[-1], np.nan)
         return locate_residuals(self._model, self._records, residual, self.trace.load)
-
-    @cached_property
-    def counts(self) -> FloatArray:
-        """Number of independent samples of each channel ``(C,)``."""
-        return np.asarray(np.sum(self._last.valid, axis=0, dtype=np.float64))
 
     def _times_floor(self, residual: FloatArray) -> FloatArray:
         """RMS of a ``residual (N, C)`` in units of the floor ``(C,)``; NaN where nothing is measured."""
