@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -165,7 +165,7 @@ def show_gap(found: geomid_ros.Gap) -> None:
         say(console, "", sentence)
     if result.findings:
         console.print(_findings_table(result))
-    for sentence in gap_words.common_effects(result):
+    for sentence in (*gap_words.common_effects(result), *_sentences(result)):
         say(console, "", sentence)
     console.print(_gaps_table(result))
     if found.handover is not None:
@@ -204,6 +204,16 @@ def _findings_table(result: GapResult) -> Table:
         closes = gap_words.percent(finding.share)
         table.add_row(gap_words.headline(finding.effect), where, names, values, probability, closes)
     return table
+
+
+def _sentences(result: GapResult) -> Iterator[str]:
+    """Yield a sentence for each finding, with rivals if it is ambiguous; of many findings only the ambiguous ones."""
+    few = len(result.findings) <= gap_words.MOST_LISTED
+    for finding in result.findings:
+        rivals = [gap_words.compared(rival) for rival in finding.rivals[: gap_words.MOST_LISTED]]
+        ambiguous = finding.confidence == "ambiguous" and rivals
+        if few or ambiguous:
+            yield f"{finding.sentence}{' Rivals: ' + ', '.join(rivals) + '.' if ambiguous else ''}"
 
 
 def _gaps_table(result: GapResult) -> Table:
