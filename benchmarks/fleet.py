@@ -30,8 +30,7 @@ from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.fleet.fleet import Cluster
 from geomid_ros.fleet.recordings import find_bags
-from geomid_ros.fleet.summary_store import Store, sum_of_summaries, summarise
-from geomid_ros.fleet.work import FleetPlan, summarise_bag
+from geomid_ros.fleet.work import FleetPlan, Store, sum_of_summaries, summarise, summarise_bag
 from geomid_ros.model.channels import Channel
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics
@@ -54,8 +53,7 @@ _MOST = 600.0  # [s] for a run
 _ALONE = """
 import sys
 from geomid_ros.fleet.recordings import find_bags
-from geomid_ros.fleet.summary_store import Store
-from geomid_ros.fleet.work import summarise_bag
+from geomid_ros.fleet.work import Store, summarise_bag
 store, plan, folder, first, warm = Store(sys.argv[1]), sys.argv[2], sys.argv[3], int(sys.argv[4]), int(sys.argv[5])
 bags = find_bags(folder)
 for bag in bags[-warm:]:

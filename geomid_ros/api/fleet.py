@@ -16,8 +16,7 @@ from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.posterior import write_population
 from geomid_ros.fleet.fleet import Cluster, Fleet, FleetRobot
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
-from geomid_ros.fleet.summary_store import Store, changes
-from geomid_ros.fleet.work import FleetPlan
+from geomid_ros.fleet.work import FleetPlan, Store, changes
 from geomid_ros.options import takes
 from geomid_ros.report.result_pages import FleetPage, RobotLine, write_fleet_page
 

@@ -134,8 +134,8 @@ def _show(prior: ShapePrior, kept: Sequence[str]) -> None:
         f"Links filled with {prior.density:.4g} kg/m³",
         ["\nlink", "\nshape"],
         ["volume\n[litre]", "mass [kg]\nURDF", "\nprior"],
+        ["the URDF's\ninertial"],
     )
-    table.add_column("the URDF's\ninertial")
     for link in prior.links:
         before = "" if link.before.parameters is None else f"{link.before.mass:.3f}"
         after = f"{link.mass:.3f}" if link.mass else ""

@@ -15,7 +15,6 @@ import geomid_ros
 from geomid_ros.checks.verdict import DOUBTFUL, USABLE, recording_verdict
 from geomid_ros.commands.terminal import (
     lines,
-    number_columns,
     plain_table,
     print_remarks,
     print_verdict,
@@ -36,15 +35,12 @@ if TYPE_CHECKING:
     from geomid_ros.resimulation.resimulate import Tracking
 
 
-_MOST_REASONS = 5
-
-
 def _print_messages(console: Console, topics: Mapping[str, Account]) -> None:
     """Print for each topic how many messages were used, and why others were not."""
     for topic, account in topics.items():
         refused = account.rejected + account.dropped
-        reasons = "".join(f"; {count} {reason}" for reason, count in refused.most_common(_MOST_REASONS))
-        noted = "".join(f"; noted: {remark} ({count})" for remark, count in account.noted.most_common(_MOST_REASONS))
+        reasons = "".join(f"; {count} {reason}" for reason, count in refused.most_common())
+        noted = "".join(f"; noted: {remark} ({count})" for remark, count in account.noted.most_common())
         say(console, "", f"{topic}: {account.accepted} of {account.received} messages used{reasons}{noted}")
 
 
@@ -86,10 +82,8 @@ def _tracking(tracking: Tracking, name: str) -> str:
 
 def _links_table(file: EstimateFile, links: Sequence[LinkEstimate]) -> Table:
     """Table of mass, centre of mass, their standard deviations and their source: data or prior."""
-    table = plain_table("Links", ["\nlink"])
-    headings = ("mass [kg]\nURDF", "\nidentified", "centre of\nmass [m]", "from\ndata", "dist. to\nprior")
-    number_columns(table, headings)
-    table.add_column("not\nidentified")
+    headings = ["mass [kg]\nURDF", "\nidentified", "centre of\nmass [m]", "from\ndata", "dist. to\nprior"]
+    table = plain_table("Links", ["\nlink"], headings, ["not\nidentified"])
     for link in links:
         names = lines([link.name, *(f"+ {name}" for name in link.merged)])
         masses = f"{file.urdf_masses[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
@@ -200,10 +194,8 @@ def _print_file(console: Console, file: FileTest) -> None:
 
 def _findings_table(result: GapResult) -> Table:
     table = plain_table("Findings (sure ones are in the written model)", ["effect", "where"])
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("value", justify="right", no_wrap=True)
-    table.add_column("probability", no_wrap=True)
-    number_columns(table, ["closes"])
+    for heading, is_number in (("parameter", False), ("value", True), ("probability", False), ("closes", True)):
+        table.add_column(heading, justify="right" if is_number else "left", no_wrap=True)
     for finding in result.findings:
         names = lines(name.replace("_", " ") for name in finding.parameters)
         values = lines(map(gap_words.measured, finding.parameters.values()))
@@ -227,8 +219,8 @@ def _sentences(result: GapResult) -> Iterator[str]:
 def _gaps_table(result: GapResult) -> Table:
     headings = ["\nfloor", "\nnominal", "inertias\nonly", "written\nmodel", "moving\nalone", "moving,\nexpected"]
     title = "Gap on all held-out samples, in units of the noise floor (no model can do better than 1)"
-    table = plain_table(title, ["\nchannel"], headings)
-    table.add_column(f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal")
+    bars = f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
+    table = plain_table(title, ["\nchannel"], headings, [bars])
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
     end = max(2.0, *(gap_words.worst(values) for values in gaps))
     for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.corrected_floor, strict=True)):
@@ -270,13 +262,12 @@ def _candidates_table(result: GapResult) -> Table:
 def show_fleet(found: geomid_ros.FleetIdentification) -> None:
     """Print a table of the robots, and the bad and doubtful bags."""
     console = results_console()
-    table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "links [kg]", "distance"])
-    for heading in ("verdict", "differs from the others", "changed"):
-        table.add_column(heading)
+    remarks = ["verdict", "differs from the others", "changed"]
+    table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "links [kg]", "distance"], remarks)
     for line in found.lines:
         numbers = ("" if number is None else f"{number:.2f}" for number in (line.mass, line.distance))
-        remarks = (line.verdict, lines(line.unlike), lines(line.changed))
-        table.add_row(line.name, f"{line.used} of {line.bags}", *numbers, *remarks)
+        words = line.verdict, lines(line.unlike), lines(line.changed)
+        table.add_row(line.name, f"{line.used} of {line.bags}", *numbers, *words)
     console.print(table)
     for line in found.lines:
         print_remarks(console, {line.name: line.reasons})

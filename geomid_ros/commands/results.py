@@ -11,7 +11,6 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.table import Table
 
 import geomid_ros
 from geomid_ros.api.options import (
@@ -104,28 +103,20 @@ def _show_verification(result: geomid_ros.Verification) -> None:
     console = results_console()
     warnings = [sentence for sentence in result.session.review.warnings() if sentence not in result.doubts]
     print_remarks(console, {DOUBTFUL.upper(): result.doubts, "Warning": warnings, "Note": result.session.notes})
-    console.print(_channels(result))
-    if result.outcomes:
-        console.print(_requirements(result))
-    checked = [outcome.passed for outcome in result.outcomes if outcome.passed is not None]
-    skipped = len(result.outcomes) - len(checked)
-    summary = f"{sum(checked)} of {len(checked)} requirements hold" + (f", {skipped} not checked" if skipped else "")
-    say(console, "PASSED:" if result.passed else "FAILED:", f" {summary}" + ("; doubtful" if result.doubts else ""))
-
-
-def _channels(result: geomid_ros.Verification) -> Table:
     table = plain_table("RMS of the residual", ["channel"], ["unit", "URDF", "model", "floor"])
     for channel in result.session.model.channels:
         numbers = result.rms[channel.name]
         table.add_row(channel.name, channel.unit, *(_number(numbers[key]) for key in ("urdf", "value", "floor")))
-    return table
-
-
-def _requirements(verification: geomid_ros.Verification) -> Table:
+    console.print(table)
     table = plain_table("Requirements", ["requirement", "of"], ["value", "bound", "result"])
-    for outcome in verification.outcomes:
+    for outcome in result.outcomes:
         table.add_row(outcome.requirement, outcome.what, _number(outcome.value), outcome.bound, outcome.result)
-    return table
+    if result.outcomes:
+        console.print(table)
+    checked = [outcome.passed for outcome in result.outcomes if outcome.passed is not None]
+    skipped = len(result.outcomes) - len(checked)
+    summary = f"{sum(checked)} of {len(checked)} requirements hold" + (f", {skipped} not checked" if skipped else "")
+    say(console, "PASSED:" if result.passed else "FAILED:", f" {summary}" + ("; doubtful" if result.doubts else ""))
 
 
 def _number(value: float) -> str:
@@ -286,9 +277,8 @@ def _show_payload(result: geomid_ros.Payload, controller: str | None) -> None:
     console = results_console()
     print_verdict(console, result.weighed.verdict, result.weighed.warnings, result.weighed.notes)
     console.print(result.sentence)
-    table = plain_table(f"Payload in the axes of '{result.frame}'", ["quantity"], ["value", "std"])
-    table.add_column("unit")
-    table.add_column("identified")
+    title, remarks = f"Payload in the axes of '{result.frame}'", ["unit", "identified"]
+    table = plain_table(title, ["quantity"], ["value", "std"], remarks)
     rows = zip(QUANTITIES, result.inertial.quantities, result.inertial.std, UNITS, strict=True)
     for name, value, std, unit in rows:
         identified = "no" if name in result.weighed.cannot_tell else "yes"

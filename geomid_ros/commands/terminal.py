@@ -115,19 +115,19 @@ def _left(widths: Sequence[tuple[int, int]], shown: Sequence[int], options: Cons
     return options.max_width + 1 - sum(widths[index][0] + 3 for index in shown)
 
 
-def plain_table(title: str, texts: Sequence[str] = (), numbers: Sequence[str] = ()) -> Table:
-    """Create a table without lines between rows: text columns with these headings, then number columns."""
+def plain_table(
+    title: str, texts: Sequence[str] = (), numbers: Sequence[str] = (), remarks: Sequence[str] = ()
+) -> Table:
+    """Create a table without lines between rows: text columns with these headings, then columns of numbers, which are
+    never wrapped, then more text columns."""
     table = _PlainTable(title)
     for heading in texts:
         table.add_column(heading, overflow="fold")
-    number_columns(table, numbers)
-    return table
-
-
-def number_columns(table: Table, headings: Sequence[str]) -> None:
-    """Add columns of numbers, which are never wrapped."""
-    for heading in headings:
+    for heading in numbers:
         table.add_column(heading, justify="right", no_wrap=True)
+    for heading in remarks:
+        table.add_column(heading)
+    return table
 
 
 @contextmanager

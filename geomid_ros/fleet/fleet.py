@@ -24,8 +24,15 @@ import numpy as np
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.files.schema import from_document
 from geomid_ros.fleet.recordings import FleetBag
-from geomid_ros.fleet.summary_store import SUFFIX, RobotResults, Store
-from geomid_ros.fleet.work import BagOutcome, FleetPlan, solve_robot, summarise_bag
+from geomid_ros.fleet.work import (
+    SUFFIX,
+    BagOutcome,
+    FleetPlan,
+    RobotResults,
+    Store,
+    solve_robot,
+    summarise_bag,
+)
 from geomid_ros.options import Progress, silent
 from geomid_ros.session.session import installed_version
 
@@ -230,7 +237,7 @@ class Fleet:
             name = f"{self._plan.summary_name(bag)}.json"
             with suppress(InputError, ValueError, RecursionError):  # it is summarised again
                 if name in self._kept:
-                    outcomes[bag] = from_document(BagOutcome, json.loads(self._store.get(name) or b""), name)
+                    outcomes[bag] = from_document(BagOutcome, json.loads(self._store.get(name)), name)
         progress(f"{len(outcomes)} of {len(self._bags)} bags", 0.0)
         jobs = [(bag, (self._store, self._plan.name, bag)) for bag in self._bags if bag not in outcomes]
         for bag, outcome in _run(workers, summarise_bag, jobs):
@@ -275,9 +282,7 @@ class Fleet:
     def results(self, robot: FleetRobot) -> RobotResults:
         """Load the results of a robot that has some. Raises InputError if they cannot be read."""
         name = f"{robot.kept}{SUFFIX}"
-        content = self._store.get(name)
-        if content is None:
-            raise InputError(f"{self._store.url}: the results of robot '{robot.name}' are missing; run the same again")
+        content = self._store.get(name, f"the results of robot '{robot.name}' are missing; run the same again")
         try:
             return RobotResults.decoded(content)
         except InputError as error:

@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError, unknown_name
-from geomid_ros.fleet.summary_store import file_system, is_local
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.lz4", ".db3.lz4")
 _METADATA = "metadata.yaml"
@@ -22,6 +21,28 @@ _TABLE = ".csv"
 _BAG = "bag"  # the table's column
 # Keys of file systems for the time of the last change, or for a checksum of the content.
 _CHANGED = ("mtime", "LastModified", "last_modified", "updated", "ETag", "etag", "modified", "created")
+
+
+def file_system(url: str) -> tuple[Any, str]:
+    """Find the file system of a path or URL (fsspec), and the path there.
+
+    Raises:
+        InputError: fsspec, or a package that it needs for this kind of URL, is not installed, or the kind is unknown.
+    """
+    try:
+        from fsspec.core import url_to_fs  # noqa: PLC0415 an extra
+    except ImportError as error:
+        raise InputError("geomid fleet needs the extra 'fleet': pip install geomid_ros[fleet]") from error
+    try:
+        result: tuple[Any, str] = url_to_fs(url)
+    except (ImportError, ValueError, OSError) as error:
+        raise InputError(f"{url}: cannot be reached ({error})") from error
+    return result
+
+
+def is_local(system: Any) -> bool:
+    """True if a file system is this machine's."""
+    return "file" in (system.protocol if isinstance(system.protocol, tuple) else (system.protocol,))
 
 
 @dataclass(frozen=True)

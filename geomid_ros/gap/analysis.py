@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, EffectsFit, EffectsPrior, EffectsSearch, Shapes
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
-from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
+from geomid_ros.gap.evidence.noise import Autoregression, noise_floor, runs_of
 from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records, TotalModel
 from geomid_ros.inference.fit import fit, fit_of_prior
 from geomid_ros.inference.probability import Support, Supports
@@ -72,6 +71,10 @@ class _Task:
     shapes: Shapes
     progress: Progress
 
+    def terms(self, prior: EffectsPrior) -> list[library.EffectTerm]:
+        """Terms of the effects in the model, and of all candidates."""
+        return [*prior.terms, *(term for candidate in self.tried for term in candidate.terms)]
+
     def linearised(self, total: TotalModel, floor: FloatArray | None = None) -> LinearisedProblem:
         """Return the problem linearised at a total model."""
         return LinearisedProblem(self.model, self.records, total, floor, self.known_remainder)
@@ -120,8 +123,8 @@ def known_remainder(model: MeasurementModel, records: Records, prior: EffectsPri
     not known for channels without rows."""
     prior_fit = fit_of_prior(prior)
     noise = (Autoregression.white(),) * len(model.channels)
-    problem = LinearisedProblem(model, records, total_model(model, prior_fit))
-    residual = problem.residual(problem.columns((), prior.terms), prior_fit)
+    problem = LinearisedProblem.at(model, records, prior_fit)
+    residual = problem.residual(prior_fit)
     near: list[FloatArray] | None = None
     for _ in range(_WHITENINGS):
         near, lacks = problem.fit_remainders(residual, problem.usable_features, noise, near)
@@ -181,18 +184,18 @@ def _searched(task: _Task, prior: EffectsPrior, stage: str) -> Analysis:
     task.progress(stage, 1.0)
     problem, search, names = last.problem, last.search, last.found
     design = search.design
-    residual = problem.residual(last.columns, names) - problem.remainder(design, names)
+    residual = problem.residual(names, last.columns) - problem.remainder(design, names)
     rows = np.where(design.counts > 0.0, design.counts, np.nan)
     remainder_parameters = np.array([lack.freedom for lack in names.remainders(design)])
     freedom = np.maximum(rows - names.parameters_by_channel(design) - remainder_parameters, 1.0) / rows
-    noise, _ = problem.identifiable_floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom))
+    noise, _ = problem.identifiable_floor(problem.valid_rms(residual) / np.sqrt(freedom))
     return Analysis(
         problem=problem,
         search=search,
         inertias_only=search.fit([]),
         effects=names,
         supports=supports,
-        floor=noise_by_repeats(task.model, task.records).floor(noise),
+        floor=noise_floor(task.model, task.records, noise),
         shapes=task.shapes,
     )
 
@@ -242,8 +245,7 @@ def _last_round(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
         settling |= attempt >= _ROUNDS - 2 or _same(previous, names)
         previous = names
         if attempt < _ROUNDS - 1:
-            residual = problem.residual(last.columns, names)
-            residual -= problem.remainder(last.search.design, names)
+            residual = problem.residual(names, last.columns) - problem.remainder(last.search.design, names)
             floor, determined = problem.identifiable_floor(_typical_size(residual, problem.valid))
             pairs = zip(determined.tolist(), _noise(residual, problem.valid, task.records), noise, strict=True)
             noise = tuple(latest if is_determined else earlier for is_determined, latest, earlier in pairs)
@@ -253,7 +255,7 @@ def _last_round(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
 def _beginning(task: _Task, prior: EffectsPrior) -> tuple[tuple[Autoregression, ...], TotalModel]:
     """Initial noise, and the total model without named effects."""
     problem = task.linearised(total_model(task.model, fit_of_prior(prior)))
-    columns = problem.columns(task.tried, prior.terms)
+    columns = problem.columns(task.terms(prior))
     bare: EffectsFit = fit(problem.design(columns, (Autoregression.white(),) * len(task.model.channels)), prior, ())
     return _flexible_noise(problem, columns, bare, problem.valid), total_model(task.model, bare)
 
@@ -269,14 +271,13 @@ def _round(
     attempt: int,
     settling: bool,
 ) -> _Round:
-    """Fit along what was found ``before``, and search from there if the columns are accurate there, with exchanges once
-    it is ``settling``. The last attempt with a search runs it to the end; later attempts do not search."""
-    columns = problem.columns(task.tried, prior.terms)
+    """Fit along what was found ``before``, and search from there, with exchanges once it is ``settling``. The last
+    attempt with a search runs it to the end; later attempts do not search."""
+    columns = problem.columns(task.terms(prior))
     design = problem.design(columns, noise)
     search = Selection(design.given(variances) if variances else design, prior, task.tried)
     names = search.within_range(search.fit(before.chosen if before else ()))
-    is_last = attempt == _ROUNDS - 1
-    searches = is_last or (attempt < _ROUNDS and _near(total_model(task.model, names), problem.total))
+    is_last, searches = attempt == _ROUNDS - 1, attempt < _ROUNDS
     if searches:  # the remainder must not absorb effects that are not named yet: they would never be found
         names = search.grow(names, to_the_end=is_last)
     search = Selection(names.with_fitted_remainder(design), prior, task.tried)
@@ -284,17 +285,6 @@ def _round(
     if searches:
         names = search.optimise(names) if settling else search.grow(names, to_the_end=is_last)
     return _Round(problem, columns, search, names)
-
-
-def _near(current: TotalModel, linearised_at: TotalModel) -> bool:
-    """True if columns linearised at one total model are accurate at the other."""
-    before = {(effect, place): coefficients for effect, place, coefficients in linearised_at.effects}
-    after = {(effect, place): coefficients for effect, place, coefficients in current.effects}
-    return all(
-        bool(np.all(np.abs(after.get(key, 0.0) - before.get(key, np.zeros(1))) < key[0].relinearise_beyond))
-        for key in {**before, **after}
-        if key[0].relinearise_beyond
-    )
 
 
 def _same(previous: EffectsFit | None, current: EffectsFit) -> bool:
@@ -316,7 +306,7 @@ def _flexible_noise(
     Only as many of their directions are used as the rows can determine: with as few rows as directions, only rounding
     errors would remain, and noise estimated from these.
     """
-    residual = problem.residual(columns, bare)
+    residual = problem.residual(bare, columns)
     noise_residual = np.full(residual.shape, np.nan)
     for channel in range(residual.shape[1]):
         chosen = valid[:, channel]
@@ -339,14 +329,6 @@ def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Au
 
 def _typical_size(residual: FloatArray, valid: BoolArray) -> FloatArray:
     """Standard deviation of each channel ``(C,)`` from the median absolute value, as if it were Gaussian."""
-    return _by_channel(lambda values: np.median(np.abs(values)), residual, valid) / _MEDIAN_OF_GAUSSIAN
-
-
-def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:
-    return np.sqrt(_by_channel(lambda values: np.mean(values**2), residual, valid))
-
-
-def _by_channel(function: Callable[[FloatArray], Any], residual: FloatArray, valid: BoolArray) -> FloatArray:
-    """Apply a function to each channel's valid values ``(C,)``; NaN where there are none."""
-    channels = zip(residual.T, valid.T, strict=True)
-    return np.array([function(values[used]) if np.any(used) else np.nan for values, used in channels])
+    channels = zip(np.abs(residual.T), valid.T, strict=True)
+    medians = [np.median(values[used]) if np.any(used) else np.nan for values, used in channels]
+    return np.array(medians) / _MEDIAN_OF_GAUSSIAN

@@ -256,9 +256,7 @@ def parameters(
         stds = np.sqrt(np.maximum(np.diag(spread), 0.0))
         return quantities(candidate.effect.parameters, zip(body, stds, strict=True))
     values = np.array([found.value(term) for term in candidate.terms])
-    places = [found.place(term) for term in candidate.terms]
-    covariance = found.covariance[np.ix_(places, places)]
-    return _quantities(model, candidate, values, covariance, log_std, usual_load)
+    return _quantities(model, candidate, values, found.covariance_of(candidate.terms), log_std, usual_load)
 
 
 def known_before(model: MeasurementModel, prior: EffectsPrior, candidate: Candidate, usual_load: float = 0.0) -> Values:

@@ -271,7 +271,7 @@ class GapResult:
     @property
     def sure(self) -> tuple[Finding, ...]:
         """Findings that are in the written model."""
-        return _sure(self.findings)
+        return tuple(finding for finding in self.findings if finding.confidence == "confident")
 
 
 def _said(quantity: Quantity) -> str:
@@ -282,11 +282,7 @@ def _said(quantity: Quantity) -> str:
 def effort_gains(findings: Sequence[Finding], channels: Sequence[str]) -> FloatArray:
     """Factors ``(C,)`` from true to measured efforts according to sure findings."""
     gains = dict.fromkeys(channels, 1.0)
-    for finding in _sure(findings):
-        if finding.joint in gains:
+    for finding in findings:
+        if finding.confidence == "confident" and finding.joint in gains:
             gains[finding.joint] *= effect_class(finding.effect).effort_scale(values_of(finding))
     return np.array([gains[channel] for channel in channels])
-
-
-def _sure(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    return tuple(finding for finding in findings if finding.confidence == "confident")

@@ -118,11 +118,11 @@ def find_gap(
     progress("judging", 1.0)
     named_terms = {term for candidate in result.found.chosen for term in candidate.terms}
     untouched = fit_of_prior(prior)
-    problem = LinearisedProblem(bare, records, total_model(bare, untouched))
-    first = problem.residual(problem.columns((), prior.terms), untouched)
+    problem = LinearisedProblem.at(bare, records, untouched)
+    first = problem.residual(untouched)
     sure_joints = {finding.joint for finding in result.findings if finding.confidence == "confident"}
     before = folded(problem, untouched)
-    after = folded(LinearisedProblem(bare, records, total_model(bare, result.found)), result.found)
+    after = folded(LinearisedProblem.at(bare, records, result.found), result.found)
     changes = {key: after.get(key, 0.0) - before.get(key, 0.0) for key in before.keys() | after}
     return GapResult(
         verdict=verdict(analysis, files, named=is_named),
@@ -136,7 +136,7 @@ def find_gap(
         cutoff=cutoff,
         gap=files.on_all,
         moving=files.gap.after,
-        located=locate_residuals(bare, records, first, np.abs(_measured(bare, records) - first)),
+        located=locate_residuals(bare, records, first, np.abs(records.rows(bare).targets - first)),
         ranking=ranking(bare, analysis, named),
         trace=files.trace,
         bodies=bare.body_names,
@@ -196,16 +196,9 @@ def residual_rms(
         other_effects: its other effects, which depend on its prediction of a motion: elastic gears, play.
     """
     bare, records = model.without_effects(), Records.make(samples, cutoff)
-    prior = _prior(model, nominal)
-    prior, _ = _with_other_effects(bare, records, prior, other_effects)
+    prior, _ = _with_other_effects(bare, records, _prior(model, nominal), other_effects)
     untouched = fit_of_prior(prior)
-    problem = LinearisedProblem(bare, records, total_model(bare, untouched))
-    return root_mean_square(problem.residual(problem.columns((), prior.terms), untouched))
-
-
-def _measured(model: MeasurementModel, records: Records) -> FloatArray:
-    """Measured values of each channel ``(N, C)``."""
-    return model.predict(records.samples, model.nominal_parameters)[0]
+    return root_mean_square(LinearisedProblem.at(bare, records, untouched).residual(untouched))
 
 
 def _check(model: MeasurementModel, records: Records) -> None:
@@ -215,7 +208,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
             f"too short: {len(records.samples) if records.dense else 0} independent instants at the filter's cutoff, "
             f"at least {FEWEST_ROWS} are needed; record half a minute of motion"
         )
-    if not np.any(np.isfinite(_measured(model, records))):
+    if not np.any(np.isfinite(records.rows(model).targets)):
         names = ", ".join(channel.name for channel in model.channels)
         raise InputError(f"no effort or wrench is measured: at least one of these channels is needed: {names}")
     if np.all(records.samples.column(REST) > 0.5):
@@ -224,7 +217,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
 
 def _check_held_out(model: MeasurementModel, unseen: Records) -> None:
     """Refuse held-out data on which nothing can be evaluated."""
-    if not unseen.dense or not np.any(unseen.usable(model, _measured(model, unseen))):
+    if not unseen.dense or not np.any(unseen.usable(model, unseen.rows(model).targets)):
         raise InputError(
             "no usable held-out data: no joint with measured effort moves, and no wrench is measured, or the data are "
             "too short; hold out more (--hold-out), or a recording in motion (--validate)"
@@ -273,7 +266,7 @@ def _with_other_effects(
     """Return the prior with these effects in addition to the coefficients, and each effect with its candidate."""
     if not others:
         return prior, []
-    situation = LinearisedProblem(model, records, total_model(model, fit_of_prior(prior))).situation
+    situation = LinearisedProblem.at(model, records, fit_of_prior(prior)).situation
     candidates, values, prior_stds = [], list(prior.values), list(prior.prior_stds)
     for effect in others:
         cls, numbers = effect_class(effect.effect), values_of(effect)
@@ -300,7 +293,7 @@ def _relative_std(candidate: Candidate, known_effect: KnownEffect) -> float:
 def _with_least_stds(model: MeasurementModel, records: Records, prior: EffectsPrior) -> EffectsPrior:
     """Let coefficients change by a small fraction of the measurement, unless they are larger than that. Next to a
     spring, an offset near zero is known no better than the spring's rest. Changes of larger ones must be named."""
-    problem = LinearisedProblem(model, records, total_model(model, fit_of_prior(prior)))
+    problem = LinearisedProblem.at(model, records, fit_of_prior(prior))
     least = _LEAST_SHARE * problem.typical_sizes(prior.terms)
     small = (np.abs(prior.values) < least) & np.isfinite(least)  # infinite where nothing is measured
     least = np.where(small, least, 0.0)
@@ -316,13 +309,12 @@ def _as_simulated(model: MeasurementModel, records: Records, prior: EffectsPrior
     likely = analyse(model, records, prior.without_other_recordings, progress).likely
     inertias = total_model(model, likely).inertias[list(model.identified)].ravel()
     values = np.array([likely.value(term) for term in likely.terms])
-    prior_stds = np.maximum(_STD_OF_EFFECTS * np.abs(values), _LEAST_STD)
     return replace(
         prior,
         inertias=inertias,
         terms=likely.terms,
         values=values,
-        prior_stds=prior_stds,
+        prior_stds=np.maximum(_STD_OF_EFFECTS * np.abs(values), _LEAST_STD),
         other_recordings=None,
         alike=(),
     )

@@ -23,29 +23,10 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.report import gap_words
-from geomid_ros.report.page import (
-    BEFORE,
-    FLOOR,
-    FRAME,
-    GRID,
-    IDENTIFIED,
-    INK,
-    Bars,
-    Script,
-    dots_path,
-    rendered_page,
-    ticks,
-    write_page,
-)
-from geomid_ros.report.series import BINS, MOST_DRAWN, SCRIPT, ChannelTrace, Series, elapsed, traces
+from geomid_ros.report.page import BEFORE, IDENTIFIED, INK, Bars, Script, write_page
+from geomid_ros.report.series import MOST_DRAWN, SCRIPT, Series, elapsed, traces
 from geomid_ros.resimulation.resimulate import HORIZON, Kind, Resimulated
 from geomid_ros.types import FloatArray
-
-_WIDTH = 310  # [pt]
-_ROW = 58  # height that each panel adds to a picture
-_LEFT, _RIGHT, _TOP, _BOTTOM, _APART = 53, 12, 22, 33, 8  # margins, and distance of panels [pt]
-_PANEL = _WIDTH - _LEFT - _RIGHT
-_FINE = 10  # path units per pt
 
 
 @dataclass(frozen=True)
@@ -56,74 +37,29 @@ class Picture:
     address: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Axes:
-    """Axes of a panel ``height`` [pt] high, with limits of ``x`` and of ``y``. Places are in units of a path from the
-    upper left corner."""
-
-    height: float
-    x: tuple[float, float]
-    y: tuple[float, float]
-
-    def right(self, x: FloatArray) -> FloatArray:
-        """Places of values of x."""
-        return _FINE * _PANEL * (x - self.x[0]) / (self.x[1] - self.x[0])
-
-    def down(self, y: FloatArray) -> FloatArray:
-        """Places of values of y."""
-        return _FINE * self.height * (self.y[1] - y) / (self.y[1] - self.y[0])
-
-    def dots(self, x: FloatArray, y: FloatArray, color: str) -> dict[str, Any]:
-        """Points for the template, thinned to as many as can be distinguished."""
-        chosen = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-        chosen = chosen[:: -(-len(chosen) // (2 * BINS)) or 1]
-        size = float(np.clip(45.0 / np.sqrt(len(chosen) + 1.0), 1.3, 3.0))
-        return {"path": dots_path(self.right(x[chosen]), self.down(y[chosen])), "color": color, "size": size}
-
-
 def residual_picture(page: GapPage, channel: int) -> Picture:
     """Draw the residual of a channel against the variable that it depends on most: above, without the named effects,
     and their contribution; below, the remaining residual. Without named effects, draw only the latter."""
+    from geomid_ros.report.pictures import residual_svg  # noqa: PLC0415 imports matplotlib
+
     result, trace, rigid = page.result, page.result.trace, page.rigid[:, channel]
     missing, fitted = trace.measured[:, channel] - rigid, trace.after[:, channel] - rigid
-    floor, (variable, variable_unit, values) = float(result.floor[channel]), _variable(page, channel)
-    rows = [("left", [(missing - fitted, INK)])]
+    variable, variable_unit, values = _variable(page, channel)
+    panels = [("left", [(missing - fitted, INK)])]
     caption = "the remaining residual"
     if np.any(fitted):
-        rows = [("missing", [(missing, BEFORE), (fitted, IDENTIFIED)]), *rows]
+        panels = [("missing", [(missing, BEFORE), (fitted, IDENTIFIED)]), *panels]
         caption = f"above, the residual of the model with corrected inertias, and what the findings explain; {caption}"
-    total = 144 + _ROW * len(rows)
-    height = (total - _TOP - _BOTTOM + _APART) / len(rows) - _APART
-    axes = _Axes(height=height, x=_span(values), y=_limits(np.concatenate([missing, fitted]), floor))
-    across, up = ticks(*axes.x, 7), ticks(*axes.y, 5)
     title = f"{result.channels[channel]} against {variable}"
-    content = {
-        "title": title if len(title) <= 52 else f"{title[:22]}…{title[-28:]}",
-        "label": f"{variable} [{variable_unit}]",
-        "across": [(f"{value:g}", x) for value, x in zip(across, axes.right(np.array(across)), strict=True)],
-        "up": [(f"{value:g}", y) for value, y in zip(up, axes.down(np.array(up)), strict=True)],
-        "band": axes.down(np.array([2.0 * floor, -2.0 * floor])),
-        "panels": [
-            {
-                "top": _TOP + index * (height + _APART),
-                "label": f"{name} [{result.units[channel]}]",
-                "dots": [axes.dots(values, residual, color) for residual, color in curves],
-            }
-            for index, (name, curves) in enumerate(rows)
-        ],
-        "width": _WIDTH,
-        "height": total,
-        "left": _LEFT,
-        "panel_width": _PANEL,
-        "panel_height": height,
-        "fine": _FINE,
-        "floor_color": FLOOR,
-        "frame_color": FRAME,
-        "grid_color": GRID,
-    }
-    svg = rendered_page("residual.svg.j2", content)
-    address = f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode()}"
-    return Picture(f"Residual of {title}: {caption}.", address)
+    svg = residual_svg(
+        title=title if len(title) <= 52 else f"{title[:22]}…{title[-28:]}",
+        label=f"{variable} [{variable_unit}]",
+        values=values,
+        panels=[(f"{name} [{result.units[channel]}]", curves) for name, curves in panels],
+        limits=_limits(np.concatenate([missing, fitted]), float(result.floor[channel])),
+        band=2.0 * float(result.floor[channel]),
+    )
+    return Picture(f"Residual of {title}: {caption}.", f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}")
 
 
 def _limits(values: FloatArray, floor: float) -> tuple[float, float]:
@@ -133,14 +69,6 @@ def _limits(values: FloatArray, floor: float) -> tuple[float, float]:
     low, high = min(low, -2.5 * floor), max(high, 2.5 * floor)
     margin = 0.08 * (high - low) or 1.0
     return float(low - margin), float(high + margin)
-
-
-def _span(values: FloatArray) -> tuple[float, float]:
-    """Limits from the smallest to the largest finite value, with a margin."""
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    margin = max(0.03 * (high - low), 1e-3 * max(abs(low), abs(high), 1.0))
-    return low - margin, high + margin
 
 
 _MOST_CHANNELS = 6  # with a residual picture
@@ -259,7 +187,7 @@ def _variable(page: GapPage, channel: int) -> tuple[str, str, FloatArray]:
     return (chosen, *variables[chosen])
 
 
-def _traces(result: GapResult) -> list[ChannelTrace]:
+def _traces(result: GapResult) -> list[dict[str, Any]]:
     """Measured channels over time, those with the largest gap before first."""
     trace, times = result.trace, elapsed(result.trace.stamps)
     order = np.argsort(-np.nan_to_num(result.gap.before), kind="stable").tolist()

@@ -162,13 +162,6 @@ def line_path(x: FloatArray, y: FloatArray) -> str:
     return "".join("M" + " ".join(map(str, _whole(run).ravel().tolist())) for run in finite if len(run))
 
 
-def dots_path(x: FloatArray, y: FloatArray) -> str:
-    """Path of dots in integer units, to be drawn with round ends; values with NaN are left out."""
-    dots = np.column_stack([x, y])
-    places = _whole(dots[np.all(np.isfinite(dots), axis=1)])
-    return "".join(f"m{right} {down}h0" for right, down in np.diff(places, axis=0, prepend=0).tolist())
-
-
 def _whole(values: FloatArray) -> IntArray:
     return np.rint(np.clip(values, -_FAR, _FAR)).astype(np.int64)
 

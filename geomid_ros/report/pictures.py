@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
@@ -24,7 +25,7 @@ from geomid_ros.errors import one_line
 from geomid_ros.files.disk import write_bytes
 from geomid_ros.model.shape_prior import LinkPrior
 from geomid_ros.report.ellipsoids import Ellipsoid, View
-from geomid_ros.report.page import FRAME, GRID, IDENTIFIED, INK, URDF
+from geomid_ros.report.page import FLOOR, FRAME, GRID, IDENTIFIED, INK, URDF
 from geomid_ros.types import FloatArray, IntArray
 
 AxesRectangle: TypeAlias = tuple[float, float, float, float]
@@ -35,13 +36,11 @@ SIZE = (17.0, 10.0)  # [inch]
 ROBOT: AxesRectangle = (0.25, 0.95, 9.25, 8.35)
 CHANNELS: AxesRectangle = (10.15, 1.30, 6.60, 8.00)
 
-_COMPRESSION = 3  # PNG level; 6 takes half as long again for files a tenth smaller
-
 
 def write_picture(path: Path, figure: Figure) -> None:
     """Write a figure as the PNG ``path``, completely or not at all."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": _COMPRESSION})
+    figure.savefig(buffer, format="png", metadata={"Software": None})
     write_bytes(path, buffer.getvalue())
 
 
@@ -94,24 +93,22 @@ def text_width(text: str, size: float, weight: str = "normal") -> float:
 
 
 def shortened(text: str, inches: float, size: float, weight: str = "normal") -> str:
-    """Shorten ``text`` to at most ``inches``; names differ at their ends, so characters in the middle are dropped."""
+    """Shorten ``text`` to about ``inches``; names differ at their ends, so characters in the middle are dropped."""
     text = one_line(text)
-    if text_width(text, size, weight) <= inches:
+    width = text_width(text, size, weight)
+    if width <= inches:
         return text
-    fitting, longest = 1, len(text) - 1
-    while fitting < longest:
-        length = (fitting + longest + 1) // 2
-        if text_width(_without_middle(text, length), size, weight) <= inches:
-            fitting = length
-        else:
-            longest = length - 1
-    return _without_middle(text, fitting)
-
-
-def _without_middle(text: str, length: int) -> str:
-    """Keep ``length`` characters at the ends of a text."""
+    length = max(1, int(len(text) * max(inches, 0.0) / width) - 2)
     head = 2 * length // 5
     return f"{text[:head]}…{text[len(text) - length + head :]}"
+
+
+def tidy(axes: Axes) -> None:
+    """Give axes a light grid, and a light frame at the left and below."""
+    axes.grid(color=GRID, lw=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(FRAME)
 
 
 # Name of the view along each world axis, and the axes to the right and up.
@@ -205,8 +202,49 @@ def torque_picture(path: Path, title: str, names: Sequence[str], drawn: FloatArr
     axes.set_yticks(places, names, parse_math=False)
     axes.invert_yaxis()
     axes.set_xscale("log")
-    axes.grid(axis="x", color=GRID)
     axes.set_xlabel("width of the 95 % band of efforts in fast motion (RMS)")
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     write_picture(path, figure)
+
+
+Dots: TypeAlias = tuple[FloatArray, str]
+"""Values ``(N,)`` to draw as dots, and their colour."""
+
+
+def residual_svg(
+    *,
+    title: str,
+    label: str,
+    values: FloatArray,
+    panels: Sequence[tuple[str, Sequence[Dots]]],
+    limits: tuple[float, float],
+    band: float,
+) -> bytes:
+    """Draw residuals against a variable into an SVG, small enough for a phone, in which text stays text.
+
+    Args:
+        title: title of the picture.
+        label: name and unit of the variable.
+        values: of the variable ``(N,)``.
+        panels: name and unit of each panel, and its dots.
+        limits: of the residuals.
+        band: residuals that noise explains, either way.
+    """
+    figure = new_figure(4.3, 2.0 + 0.8 * len(panels))
+    figure.suptitle(title, size=9.5, weight="bold", parse_math=False)
+    axes = figure.subplots(len(panels), sharex=True, sharey=True, squeeze=False)[:, 0]
+    for panel, (name, curves) in zip(axes, panels, strict=True):
+        panel.axhspan(-band, band, color=FLOOR)
+        for residual, color in curves:
+            panel.plot(values, residual, ".", ms=1.5, alpha=0.65, color=color, rasterized=True)
+        panel.set_ylabel(name, size=9.0, parse_math=False)
+        panel.tick_params(labelsize=9.0, color=FRAME)
+        tidy(panel)
+    axes[-1].set_ylim(*limits)
+    axes[-1].set_xlabel(label, size=9.0, parse_math=False)
+    figure.align_ylabels()
+    buffer = io.BytesIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": title}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -158,35 +159,8 @@ _MOST_POINTS = 200_000  # per page: two megabytes
 _TIMES = 5  # labels of the time axis
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChannelTrace:
-    """Channel for a page.
-
-    Attributes:
-        name, unit: name and unit of the channel.
-        before, after: residual RMS of the URDF and of the identified model, formatted.
-        low, high: values at the lower and upper edge of the panel.
-        end: seconds at its right edge; the left one is at 0.
-        times: labels of the time axis, evenly spaced; ``clock`` is its name.
-        ticks: labels of the other axis, and their positions in percent from the top.
-        lines: path of each line, by kind.
-    """
-
-    name: str
-    unit: str
-    before: str
-    after: str
-    low: float
-    high: float
-    end: float
-    times: Sequence[str]
-    clock: str
-    ticks: Sequence[tuple[str, float]]
-    lines: dict[str, str]
-
-
-def traces(series: Sequence[Series]) -> list[ChannelTrace]:
-    """Return the channels, each in as many points as fit the page."""
+def traces(series: Sequence[Series]) -> list[dict[str, Any]]:
+    """Return what the template shows of the channels, each in as many points as fit the page."""
     if not series:
         return []
     clock = Clock.of(series)
@@ -194,7 +168,9 @@ def traces(series: Sequence[Series]) -> list[ChannelTrace]:
     return [_trace(channel, clock, bins) for channel in series]
 
 
-def _trace(channel: Series, clock: Clock, bins: int) -> ChannelTrace:
+def _trace(channel: Series, clock: Clock, bins: int) -> dict[str, Any]:
+    """Panel of a channel: values at its edges, labels of its axes with positions in percent, and the path of each line
+    by kind."""
     low, high = limits(channel)
     end = float(clock.seconds[-1])
     kinds = {"measured": channel.measured, "before": channel.nominal, "after": channel.predicted}
@@ -204,16 +180,16 @@ def _trace(channel: Series, clock: Clock, bins: int) -> ChannelTrace:
         return line_path(WIDTH * seconds / end, HEIGHT * (high - heights) / (high - low))
 
     before, after = map(number, channel.rms)
-    return ChannelTrace(
-        name=channel.name,
-        unit=channel.unit,
-        before=before,
-        after=after,
-        low=low,
-        high=high,
-        end=end,
-        times=[f"{second:.4g}" for second in np.linspace(0.0, end, _TIMES)],
-        clock=clock.label,
-        ticks=[(f"{tick:g}", 100.0 * (high - tick) / (high - low)) for tick in ticks(low, high, 4)],
-        lines={kind: path(values) for kind, values in kinds.items()},
-    )
+    return {
+        "name": channel.name,
+        "unit": channel.unit,
+        "before": before,
+        "after": after,
+        "low": low,
+        "high": high,
+        "end": end,
+        "times": [f"{second:.4g}" for second in np.linspace(0.0, end, _TIMES)],
+        "clock": clock.label,
+        "ticks": [(f"{tick:g}", 100.0 * (high - tick) / (high - low)) for tick in ticks(low, high, 4)],
+        "lines": {kind: path(values) for kind, values in kinds.items()},
+    }

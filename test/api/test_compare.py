@@ -110,17 +110,16 @@ def urdf_of(estimate: Path, path: Path) -> Path:
     return path
 
 
-def test_a_result_is_as_a_urdf_with_its_inertias(halves: tuple[Path, Path], tmp_path: Path) -> None:
-    found = geomid_ros.compare(halves[0], urdf_of(halves[0], tmp_path / "same.urdf"))
+def test_a_result_is_as_a_urdf_with_its_inertias_but_for_a_number_that_was_changed(
+    halves: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """Its standard deviation is five percent."""
+    own = urdf_of(halves[0], tmp_path / "own.urdf")
+    found = geomid_ros.compare(halves[0], own)
     assert not found.differing
     links = [each for each in found.compared.differences if not each.effect]
     assert len(links) == 70
     assert all(each.first and abs(each.value) <= 1e-6 * max(each.first.std, abs(each.first.value)) for each in links)
-
-
-def test_a_number_that_was_changed_in_the_urdf_is_named(halves: tuple[Path, Path], tmp_path: Path) -> None:
-    """Its standard deviation is five percent."""
-    own = urdf_of(halves[0], tmp_path / "own.urdf")
     (tmp_path / "other.urdf").write_text(heavier(own, "link7", 1.5))
     found = geomid_ros.compare(halves[0], tmp_path / "other.urdf")
     assert [(each.place, each.parameter) for each in found.differing] == [("link7", "mass")]
@@ -128,24 +127,16 @@ def test_a_number_that_was_changed_in_the_urdf_is_named(halves: tuple[Path, Path
 
 
 def test_both_predict_a_recording(halves: tuple[Path, Path]) -> None:
-    """As 'verify' does: a result by its model, a URDF without friction by its inertias alone."""
+    """As 'verify' does: a result by its model, a URDF without friction by its inertias alone. The identified URDF has
+    friction, but lacks offsets and rotor inertias: worse than the estimate, better than no friction."""
     bag = BAGS / "arm7"
-    found = geomid_ros.compare(halves[0], ARM7, bag=bag)
+    found, own = (geomid_ros.compare(halves[0], u, bag=bag) for u in (ARM7, halves[0].with_name("identified.urdf")))
     verified = geomid_ros.verify(halves[0], bag, ARM7).rms
     assert {e.name: e.first for e in found.errors} == pytest.approx({name: v["value"] for name, v in verified.items()})
     assert {e.name: e.second for e in found.errors} == pytest.approx({name: v["urdf"] for name, v in verified.items()})
     assert str(bag) in found.judged_on
-
-
-def test_a_urdf_predicts_with_the_friction_that_it_says(halves: tuple[Path, Path]) -> None:
-    """The identified one lacks offsets and rotor inertias: worse than the estimate, better than no friction."""
-    errors = [
-        {e.name: e.second for e in geomid_ros.compare(halves[0], urdf, bag=BAGS / "arm7").errors}
-        for urdf in (halves[0].with_name("identified.urdf"), ARM7)
-    ]
-    estimate = geomid_ros.compare(halves[0], ARM7, bag=BAGS / "arm7").errors
-    for error in estimate:
-        assert error.first < errors[0][error.name] < errors[1][error.name], error.name
+    for bare, error in zip(found.errors, own.errors, strict=True):
+        assert error.first < error.second < bare.second, error.name
 
 
 def test_the_page_has_it_all(planted: tuple[Path, Path], tmp_path: Path) -> None:

@@ -64,23 +64,15 @@ def options(name: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", DOORS)
-def test_a_function_has_the_arguments_of_its_command(name: str) -> None:
-    assert keywords(DOORS[name]).keys() - OF_FUNCTIONS - OF_COMMANDS == options(name).keys() - OF_COMMANDS
-
-
-@pytest.mark.parametrize("name", DOORS)
-def test_the_defaults_are_the_same(name: str) -> None:
+def test_a_function_has_the_arguments_of_its_command_explained_and_with_their_defaults(name: str) -> None:
     """Where both have one; several of nothing is nothing."""
-    there = keywords(DOORS[name])
-    for option, default in options(name).items():
+    there, here = keywords(DOORS[name]), options(name)
+    assert there.keys() - OF_FUNCTIONS - OF_COMMANDS == here.keys() - OF_COMMANDS
+    for option, default in here.items():
         if option in there and there[option] is not inspect.Parameter.empty:
             assert (default or None) == (there[option] or None), option
-
-
-@pytest.mark.parametrize("name", DOORS)
-def test_help_explains_every_argument(name: str) -> None:
-    explained = set(re.findall(r"^    (\w+): \w", inspect.getdoc(DOORS[name]) or "", re.MULTILINE))
-    assert explained >= keywords(DOORS[name]).keys()
+    told = set(re.findall(r"^    (\w+): \w", inspect.getdoc(DOORS[name]) or "", re.MULTILINE))
+    assert told >= there.keys()
 
 
 def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
@@ -100,13 +92,10 @@ def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
     }
 
 
-def test_names_are_separated_by_commas_as_on_the_command_line() -> None:
+def test_names_are_separated_by_commas_as_on_the_command_line_and_none_is_the_default() -> None:
+    """For a script that hands its own options on."""
     options = IdentifyOptions(BAG, links="link2, link3", effects="none", candidates="none")
     assert (options.links, options.effects, options.candidates) == (["link2", "link3"], [], [])
-
-
-def test_none_is_the_default() -> None:
-    """For a script that hands its own options on."""
     given = [each for each in fields(IdentifyOptions) if each.name != "bags"]
     assert vars(IdentifyOptions(BAG, **{each.name: None for each in given})) == vars(IdentifyOptions(BAG))
 
@@ -178,11 +167,9 @@ def test_what_an_option_sets_is_a_parameter_of_its_type() -> None:
     ],
 )
 def test_a_number_out_of_its_range_is_refused(wrong: dict[str, Any], said: str) -> None:
+    """The ends of a range belong to it unless they are open."""
     with pytest.raises(geomid_ros.InputError, match=said):
         geomid_ros.excite(URDF, **wrong)
-
-
-def test_the_ends_of_a_range_belong_to_it_unless_they_are_open() -> None:
     assert MotionOptions(duration=2.0, speed=1.0, clearance=0.0).duration == 2.0
     PayloadOptions(BAG, BAG, gain_std=0.0)
     with pytest.raises(geomid_ros.InputError, match="gain_std is 1, expected 0 <= gain_std < 1"):

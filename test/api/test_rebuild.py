@@ -21,21 +21,19 @@ BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 MISSING = "Time series need the recordings; this page was made from the files of the result alone."
 
 
+FILES = {"identify": "estimate.json", "gap": "gap.json"}
+KINDS = list(FILES)
+
+
 @pytest.fixture(scope="module")
-def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What 'geomid identify' writes, with effects of several parameters, a weighed mass and options in it."""
-    out = tmp_path_factory.mktemp("identified")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """What 'geomid identify' writes, with effects of several parameters, a weighed mass and options in it; and what
+    'geomid gap' writes."""
     options = ("--wrench", "/wrench:wrist_ft:mounted", "--cutoff", "6", "--known", "link2=1.2:0.05")
-    done("identify", BAG, "--urdf", URDF, *options, "--out", out)
-    return out
-
-
-@pytest.fixture(scope="module")
-def gap(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What 'geomid gap' writes."""
-    out = tmp_path_factory.mktemp("gap")
-    done("gap", BAG, "--urdf", URDF, "--out", out)
-    return out
+    folders = {kind: tmp_path_factory.mktemp(kind) for kind in KINDS}
+    for kind, out in folders.items():
+        done(kind, BAG, "--urdf", URDF, *(options if kind == "identify" else ()), "--out", out)
+    return folders
 
 
 OF_SAMPLES = ("Measured and predicted", "Held-out data", "Residual, and what the findings explain", "Residual")
@@ -49,9 +47,9 @@ def lines(path: Path) -> list[str]:
     return [line for line in written if line and "<img" not in line and "<dt>date</dt>" not in line]
 
 
-@pytest.mark.parametrize("kind", ["identified", "gap"])
-def test_all_but_time_series_is_as_it_was(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    folder: Path = request.getfixturevalue(kind)
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_but_time_series_is_as_it_was(kind: str, results: dict[str, Path], tmp_path: Path) -> None:
+    folder = results[kind]
     shutil.copytree(folder, tmp_path / "files", ignore=shutil.ignore_patterns("report.html", "*.csv", "*.png"))
     printed = done("report", tmp_path / "files")
     assert lines(tmp_path / "files" / "report.html") == lines(folder / "report.html")
@@ -59,7 +57,7 @@ def test_all_but_time_series_is_as_it_was(kind: str, request: pytest.FixtureRequ
     assert MISSING in again
     assert MISSING not in (folder / "report.html").read_text(encoding="utf-8")
     Page(again)
-    for name in ("links.csv", "effects.csv", "channels.csv") if kind == "identified" else ("findings.csv",):
+    for name in ("links.csv", "effects.csv", "channels.csv") if kind == "identify" else ("findings.csv",):
         assert (tmp_path / "files" / name).read_bytes() == (folder / name).read_bytes()
         assert str(tmp_path / "files" / name) in printed
 
@@ -69,24 +67,23 @@ def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
     assert "no result is in this folder" in refused("report", tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("key", ["channels", "origin", "urdf_masses", "telling", "robot", "steps", "messages", "known"])
-def test_a_result_that_lacks_something_is_refused(key: str, identified: Path, tmp_path: Path) -> None:
-    shutil.copytree(identified, tmp_path / "old")
-    document = json.loads((identified / "estimate.json").read_text())
+NEEDED = {
+    "identify": ("channels", "origin", "urdf_masses", "telling", "robot", "steps", "messages", "known"),
+    "gap": ("units", "located", "ranking", "bodies", "known", "robot", "judged_seconds", "links"),
+}
+
+
+@pytest.mark.parametrize(("kind", "key"), [(kind, key) for kind, keys in NEEDED.items() for key in keys])
+def test_a_result_that_lacks_something_is_refused(
+    kind: str, key: str, results: dict[str, Path], tmp_path: Path
+) -> None:
+    shutil.copytree(results[kind], tmp_path / "old")
+    file = tmp_path / "old" / FILES[kind]
+    document = json.loads(file.read_text())
     del document[key]
-    (tmp_path / "old/estimate.json").write_text(json.dumps(document))
+    file.write_text(json.dumps(document))
     message = refused("report", tmp_path / "old", "--out", tmp_path / "new")
-    assert f"{tmp_path / 'old/estimate.json'}: lacks what its page needs ({key} is not given)" in message
-    assert not (tmp_path / "new").exists()
-
-
-@pytest.mark.parametrize("key", ["units", "located", "ranking", "bodies", "known", "robot", "judged_seconds", "links"])
-def test_a_gap_that_lacks_something_is_refused(key: str, gap: Path, tmp_path: Path) -> None:
-    document = json.loads((gap / "gap.json").read_text())
-    del document[key]
-    (tmp_path / "gap.json").write_text(json.dumps(document))
-    message = refused("report", tmp_path, "--out", tmp_path / "new")
-    assert f"{tmp_path / 'gap.json'}: lacks what its page needs ({key} is not given)" in message
+    assert f"{file}: lacks what its page needs ({key} is not given)" in message
     assert not (tmp_path / "new").exists()
 
 
@@ -100,24 +97,24 @@ def refusal(folder: Path, out: Path) -> str:
 
 
 @pytest.mark.parametrize("garbage", [5, [[]]])
-@pytest.mark.parametrize("kind", ["identified", "gap"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_garbage_is_refused_or_shown_and_never_ends_in_a_traceback(
-    kind: str, garbage: object, request: pytest.FixtureRequest, tmp_path: Path
+    kind: str, garbage: object, results: dict[str, Path], tmp_path: Path
 ) -> None:
-    folder, name = request.getfixturevalue(kind), {"identified": "estimate.json", "gap": "gap.json"}[kind]
-    shutil.copytree(folder, tmp_path / "files")
-    document = json.loads((folder / name).read_text())
+    shutil.copytree(results[kind], tmp_path / "files")
+    file = tmp_path / "files" / FILES[kind]
+    document = json.loads(file.read_text())
     for key in document:
-        (tmp_path / "files" / name).write_text(json.dumps(document | {key: garbage}))
+        file.write_text(json.dumps(document | {key: garbage}))
         said = refusal(tmp_path / "files", tmp_path / key)
         assert str(tmp_path / "files") in said or (tmp_path / key / "report.html").is_file()
         assert not said or not (tmp_path / key).exists()
 
 
-def test_the_page_needs_no_other_file_than_the_estimate(identified: Path, tmp_path: Path) -> None:
-    shutil.copy(identified / "estimate.json", tmp_path)
+def test_the_page_needs_no_other_file_than_the_estimate(results: dict[str, Path], tmp_path: Path) -> None:
+    shutil.copy(results["identify"] / "estimate.json", tmp_path)
     geomid_ros.rebuild_report(tmp_path)
-    assert lines(tmp_path / "report.html") == lines(identified / "report.html")
+    assert lines(tmp_path / "report.html") == lines(results["identify"] / "report.html")
 
 
 def test_doubts_are_said_again_as_they_were() -> None:

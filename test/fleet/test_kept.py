@@ -12,8 +12,7 @@ import pytest
 import geomid_ros
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.fleet.summary_store import BagSummary, sum_of_summaries, summarise
-from geomid_ros.fleet.work import solve
+from geomid_ros.fleet.work import BagSummary, solve, sum_of_summaries, summarise
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session, document

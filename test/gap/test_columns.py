@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
 from geomid_ros.gap.evidence.records import Records
 from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.effects import AtJoint
@@ -24,7 +24,7 @@ def problem() -> LinearisedProblem:
     model = planted.model()
     inertias = planted.true_inertias(5, 0.2)
     records = Records.make([planted.recording(planted.rigid(inertias), 5, noise=0.0)], planted.CUTOFF)
-    return LinearisedProblem(model, records, total_model(model, fit_of_prior(planted.prior(inertias))))
+    return LinearisedProblem.at(model, records, fit_of_prior(planted.prior(inertias)))
 
 
 def efforts(problem: LinearisedProblem, moved: tuple[FloatArray, FloatArray, FloatArray] | None = None) -> FloatArray:

@@ -121,7 +121,7 @@ class TestColumns:
         records: Any = SimpleNamespace(samples=motion, with_shifted_efforts=lambda _: records)
         problem = LinearisedProblem(self.MODEL, records, TotalModel(np.zeros((0, 10)), (), self.MODEL.robot.gravity))
         vars(problem)["situation"] = situation
-        return problem.columns((), terms)
+        return problem.columns(terms)
 
     def test_a_tilt_reaches_what_gravity_reaches(self) -> None:
         terms = [EffectTerm(GravityTilt(), OnRobot(), index) for index in range(2)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap.evidence.features import Features, features, hats, knots
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
 from geomid_ros.gap.evidence.records import Records
 from geomid_ros.inference.fit import fit_of_prior
 
@@ -12,7 +12,7 @@ from . import planted
 
 MODEL = planted.model()
 RECORDS = Records.make([planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 20.0)], planted.CUTOFF)
-PROBLEM = LinearisedProblem(MODEL, RECORDS, total_model(MODEL, fit_of_prior(planted.prior())))
+PROBLEM = LinearisedProblem.at(MODEL, RECORDS, fit_of_prior(planted.prior()))
 
 
 @pytest.fixture(scope="module")

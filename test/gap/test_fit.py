@@ -3,13 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.records import Records
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior
 from geomid_ros.inference.prior import OtherRecordings
@@ -26,20 +24,8 @@ def designed(*seeds: int, friction: float = SMALL) -> Design:
     """Of recordings of one robot, whose second joint has this friction."""
     rigid = planted.rigid(planted.true_inertias(7, 0.2))
     samples = [planted.recording(lambda q, v, a: rigid(q, v, a) + [0.0, friction, 0.0] * v, seed) for seed in seeds]
-    problem = LinearisedProblem(
-        MODEL, Records.make(samples, planted.CUTOFF), total_model(MODEL, fit_of_prior(planted.prior()))
-    )
-    return problem.design(problem.columns(CANDIDATES, ()), WHITE)
-
-
-@pytest.fixture(scope="module")
-def design() -> Design:
-    return designed(7)
-
-
-@pytest.fixture(scope="module")
-def bare(design: Design) -> JointFit:
-    return fit(design, planted.prior(), [])
+    problem = LinearisedProblem.at(MODEL, Records.make(samples, planted.CUTOFF), fit_of_prior(planted.prior()))
+    return problem.design(problem.columns(term for candidate in CANDIDATES for term in candidate.terms), WHITE)
 
 
 def said(found: JointFit, design: Design) -> OtherRecordings:
@@ -80,29 +66,3 @@ def test_what_is_known_is_trusted_as_far_as_it_agrees() -> None:
     assert contradicting.inflation > 1000.0
     alone = fit(second, planted.prior(), [])
     np.testing.assert_allclose(contradicting.squares, alone.squares, rtol=0.02)
-
-
-def test_a_payload_is_reached_from_afar() -> None:
-    """Its prior lies at the link's centre; the body is many times its own size away from there."""
-    inertias = planted.true_inertias(7, 0.2)
-    loaded, centre = inertias.copy(), np.array([0.5, -0.6, 0.4])
-    ball = centre @ centre * np.eye(3) - np.outer(centre, centre) + 1e-3 * np.eye(3)
-    rows, columns = pseudo_inertia.INERTIA_ENTRIES
-    loaded[-1] += 0.8 * np.concatenate([[1.0], centre, ball[rows, columns]])
-    problem = LinearisedProblem(
-        MODEL,
-        Records.make([planted.recording(planted.rigid(loaded), 9)], planted.CUTOFF),
-        total_model(MODEL, fit_of_prior(planted.prior())),
-    )
-    precise = replace(planted.prior(), inertias=inertias[list(MODEL.identified)].ravel(), prior_std=1e-3, certainty=1e4)
-    payload = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)
-    found = fit(problem.design(problem.columns([payload], ()), WHITE), precise, [payload])
-    body = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[-1]
-    stds = np.sqrt(np.diag(found.covariance)[found.manifold.link(found.manifold.links - 1)])
-    assert np.all(np.abs(body[:4] - 0.8 * np.array([1.0, *centre])) < 3.0 * stds[:4])
-
-
-def test_the_spread_of_the_inertias_is_found(design: Design, bare: JointFit) -> None:
-    """The planted errors are of the usual size; a prior that takes them for ten times smaller is corrected."""
-    assert np.all((bare.prior_stds > 0.1) & (bare.prior_stds < 0.35))
-    assert np.max(fit(design, planted.prior(spread=0.02), []).prior_stds) > 0.06

@@ -59,9 +59,8 @@ def said(values: dict[EffectTerm, float]) -> JointFit:
 
 def residual(samples: Samples, at: dict[EffectTerm, float], found: dict[EffectTerm, float]) -> np.ndarray:
     """Of a model with the coefficients ``found``, linearised at others."""
-    problem = LinearisedProblem(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, said(at)))
-    own = said(found)
-    return problem.residual(problem.columns((), own.terms), own)
+    problem = LinearisedProblem.at(MODEL, Records.make([samples], planted.CUTOFF), said(at))
+    return problem.residual(said(found))
 
 
 def with_efforts(samples: Samples, scale: Sequence[float], joints: Sequence[float], offset: Sequence[float]) -> Samples:
@@ -89,11 +88,11 @@ def test_a_gain_is_the_whole_gain_wherever_it_is_linearised(at: float) -> None:
 
 def test_a_gain_that_is_built_in_scales_all_columns_but_its_own() -> None:
     samples = exact()
-    problem = LinearisedProblem(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, said({GAIN: 0.25})))
-    columns = problem.columns((), (VISCOUS, OFFSET, GAIN))
+    problem = LinearisedProblem.at(MODEL, Records.make([samples], planted.CUTOFF), said({GAIN: 0.25}))
+    columns = problem.columns((VISCOUS, OFFSET, GAIN))
     np.testing.assert_allclose(columns[VISCOUS][1], 1.25 * problem.records.samples.velocity[:, 1])
     np.testing.assert_allclose(columns[OFFSET][2], 1.0)
-    plain = LinearisedProblem(MODEL, problem.records, total_model(MODEL, said({}))).rows
+    plain = LinearisedProblem.at(MODEL, problem.records, said({})).rows
     np.testing.assert_allclose(problem.rows.coefficients, np.array([1.0, 1.25, 1.0])[:, None] * plain.coefficients)
     np.testing.assert_allclose(columns[GAIN][1], problem.situation.predicted[:, 1])
 
@@ -145,13 +144,13 @@ def test_a_gain_scales_a_tilt_and_a_delay_that_are_built_in() -> None:
 
 
 def test_the_total_model_has_every_payload_on_its_link_and_coefficients_in_order() -> None:
-    problem = LinearisedProblem(MODEL, Records.make([exact()], planted.CUTOFF), total_model(MODEL, said({})))
+    problem = LinearisedProblem.at(MODEL, Records.make([exact()], planted.CUTOFF), said({}))
     prior = Prior(
         inertias=INERTIAS.ravel(), prior_std=0.2, terms=TILT, values=np.array([0.01, 0.02]),
         prior_stds=np.ones(2), certainty=4.0,
     )  # fmt: skip
     white = (Autoregression.white(),) * 3
-    found = fit(problem.design(problem.columns([PAYLOAD], prior.terms), white), prior, [PAYLOAD])
+    found = fit(problem.design(problem.columns(prior.terms), white), prior, [PAYLOAD])
     bodies = pseudo_inertia.to_parameters(found.point.pseudo_inertias)
     total = total_model(MODEL, found)
     links = [*bodies[:2], bodies[2] + bodies[3]]
@@ -185,18 +184,18 @@ def perturbed(found: JointFit, place: int, step: float) -> JointFit:
 def test_the_variance_of_a_prediction_is_that_of_its_parameters() -> None:
     """By differences of what the model leaves when one parameter after the other is another; of a payload, too."""
     records = Records.make([planted.recording(RIGID, 3, SECONDS)], planted.CUTOFF)
-    problem = LinearisedProblem(MODEL, records, total_model(MODEL, said({VISCOUS: 0.1})))
+    problem = LinearisedProblem.at(MODEL, records, said({VISCOUS: 0.1}))
     prior = Prior(
         inertias=INERTIAS.ravel(), prior_std=0.2, terms=(VISCOUS,), values=np.array([0.1]), prior_stds=np.array([0.1]),
         certainty=4.0,
     )  # fmt: skip
-    columns = problem.columns([PAYLOAD], prior.terms)
+    columns = problem.columns(prior.terms)
     found = fit(problem.design(columns, (Autoregression.white(),) * 3), prior, [PAYLOAD])
-    here, step = problem.residual(columns, found), 1e-6
+    here, step = problem.residual(found, columns), 1e-6
     places = range(found.manifold.dimension)
-    slopes = [(here - problem.residual(columns, perturbed(found, place, step))) / step for place in places]
+    slopes = [(here - problem.residual(perturbed(found, place, step), columns)) / step for place in places]
     expected = np.einsum("dnc,de,enc->nc", slopes, found.covariance, slopes)
-    np.testing.assert_allclose(problem.variance(columns, found), expected, rtol=1e-4)
+    np.testing.assert_allclose(problem.variance(found), expected, rtol=1e-4)
 
 
 class Rough(ViscousFriction):

@@ -478,9 +478,7 @@ def test_a_sensor_s_offset_has_a_parameter_for_each_axis_with_its_unit() -> None
     )
     terms = tuple(EffectTerm(WrenchOffset(), place, index) for index in range(2))
     values = dict(zip(terms, (3.0, -0.5), strict=True))
-    found: Any = SimpleNamespace(
-        value=values.__getitem__, place=[None, *terms].index, covariance=np.diag([9.0, 0.25, 0.01])
-    )
+    found: Any = SimpleNamespace(value=values.__getitem__, covariance_of={terms: np.diag([0.25, 0.01])}.__getitem__)
     quantities = parameters(own, found, Candidate(WrenchOffset(), place, terms))
     assert {name: (q.value, q.std, q.unit) for name, q in quantities.items()} == {
         "fx": (3.0, 0.5, "N"),

@@ -1,6 +1,5 @@
 """What a model lacked where it was identified is expected elsewhere, and is no change there."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -9,10 +8,11 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.gap.analysis import known_remainder
-from geomid_ros.gap.evidence.features import LARGEST_SCALE, KnownRemainder
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.evidence.features import LARGEST_SCALE, Features, KnownRemainder
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.records import Records
+from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap, remainder_of_model
 from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.samples import Samples
@@ -23,6 +23,7 @@ from . import planted
 MODEL, JOINT, COGGING = planted.model(), 1, 0.4  # [N m]
 TRUE = planted.true_inertias(3, 0.1)
 LINKS = TRUE[list(MODEL.identified)]
+GIVEN = fit_of_prior(planted.prior(LINKS))
 
 
 def cogging(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
@@ -49,21 +50,26 @@ def standing() -> KnownRemainder:
     return found
 
 
+def problem_of(samples: Samples, known: KnownRemainder) -> LinearisedProblem:
+    """Another recording of the model, of which this remainder is known."""
+    return LinearisedProblem.at(MODEL, Records.make([samples], planted.CUTOFF), GIVEN, known_remainder=known)
+
+
 @pytest.mark.parametrize("seed", [2, 3, 8])
 def test_it_is_expected_of_another_motion_as_far_as_it_says(seed: int) -> None:
     """What is not expected of another motion is as large as noise and the coefficients' covariance say."""
-    given = fit_of_prior(planted.prior(LINKS))
-    records = Records.make([recorded(seed)], planted.CUTOFF)
-    problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), known_remainder=standing())
-    residual = problem.residual({}, given)
+    problem = problem_of(recorded(seed), standing())
+    residual = problem.residual(GIVEN)
     for channel, own in enumerate(problem.features):
-        off, unsure = (
-            residual[:, channel] - own.expected_remainder,
-            np.einsum("ij,jk,ik->i", own.columns, own.covariance, own.columns),
-        )
+        off, unsure = residual[:, channel] - own.expected_remainder, variance(own)
         assert 0.6 < np.sqrt(np.mean(off**2 / (planted.NOISE**2 + unsure))) < 1.4
         if channel == JOINT:
             assert np.std(off) < 0.5 * np.std(residual[:, JOINT])
+
+
+def variance(own: Features) -> FloatArray:
+    """Of what is expected of a channel."""
+    return np.asarray(np.einsum("ij,jk,ik->i", own.columns, own.covariance, own.columns))
 
 
 def test_its_covariance_says_how_far_it_is_off() -> None:
@@ -83,15 +89,13 @@ def with_a_share(share: float) -> KnownRemainder:
 
 
 def test_fewer_rows_than_features_tell_less_and_as_much_as_they_say() -> None:
-    few, given = with_a_share(1.0 / 8.0), fit_of_prior(planted.prior(LINKS))
+    few = with_a_share(1.0 / 8.0)
     for seed in (2, 3):
-        problem = LinearisedProblem(
-            MODEL, Records.make([recorded(seed)], planted.CUTOFF), total_model(MODEL, given), known_remainder=few
-        )
-        own, residual = problem.features[JOINT], problem.residual({}, given)[:, JOINT]
-        unsure = np.einsum("ij,jk,ik->i", own.columns, own.covariance, own.columns)
-        assert np.std(residual - own.expected_remainder) < 0.9 * np.std(residual)
-        assert 0.4 < np.sqrt(np.mean((residual - own.expected_remainder) ** 2 / (planted.NOISE**2 + unsure))) < 2.0
+        problem = problem_of(recorded(seed), few)
+        own, residual = problem.features[JOINT], problem.residual(GIVEN)[:, JOINT]
+        off = residual - own.expected_remainder
+        assert np.std(off) < 0.9 * np.std(residual)
+        assert 0.4 < np.sqrt(np.mean(off**2 / (planted.NOISE**2 + variance(own)))) < 2.0
     assert np.linalg.norm(few.triangles[JOINT]) > np.linalg.norm(standing().triangles[JOINT])
 
 
@@ -101,20 +105,16 @@ def test_of_channels_without_rows_nothing_is_known() -> None:
         assert len(mean) == len(triangle) == (0 if channel == JOINT else len(known.means[channel]))
 
 
-def named(known: KnownRemainder | None, recording: Sequence[Samples]) -> dict[tuple[str, str], float]:
-    found = find_gap(MODEL, recording, (), nominal=LINKS.ravel(), known_remainder=known)
-    return {(finding.effect, finding.joint): finding.loss for finding in found.findings}
-
-
-def test_it_is_no_change() -> None:
-    assert not named(standing(), [recorded(5)])
+def gap(samples: Samples) -> GapResult:
+    """Beside the model and what it lacks."""
+    return find_gap(MODEL, [samples], (), nominal=LINKS.ravel(), known_remainder=standing())
 
 
 @pytest.mark.parametrize("seed", [5, 8, 9])
-def test_it_leaves_nothing_unexplained(seed: int) -> None:
+def test_it_is_no_change_and_leaves_nothing_unexplained(seed: int) -> None:
     """Though it is many times the noise."""
-    found = find_gap(MODEL, [recorded(seed)], (), nominal=LINKS.ravel(), known_remainder=standing())
-    assert found.verdict == "no gap"
+    found = gap(recorded(seed))
+    assert (found.verdict, found.findings) == ("no gap", ())
     assert found.moving[JOINT] > 10.0
 
 
@@ -123,31 +123,26 @@ def test_a_change_beside_it_that_has_no_name_is_left_where_it_is() -> None:
     samples = recorded(6)
     effort = samples.effort.copy()
     effort[:, -1] += 0.5 * COGGING * np.sin(9.0 * samples.position[:, -1])
-    found = find_gap(MODEL, [replace(samples, effort=effort)], (), nominal=LINKS.ravel(), known_remainder=standing())
+    found = gap(replace(samples, effort=effort))
     assert found.verdict == "unexplained"
     assert [(left.joint, left.depends_on) for left in found.unexplained] == [(MODEL.robot.joint_names[-1], "position")]
 
 
 def test_a_change_beside_it_is_named() -> None:
-    assert list(named(standing(), [recorded(6, more=0.3)])) == [("coulomb_friction", MODEL.robot.joint_names[-1])]
+    (finding,) = gap(recorded(6, more=0.3)).findings
+    assert (finding.effect, finding.joint) == ("coulomb_friction", MODEL.robot.joint_names[-1])
 
 
 def test_what_was_lacking_and_is_there_now_is_nothing_that_lacks() -> None:
     """The remainder is then what was expected, taken back; together they are next to nothing."""
-    given = fit_of_prior(planted.prior(LINKS))
-    records = Records.make([planted.recording(planted.rigid(TRUE), 4, 30.0)], planted.CUTOFF)
-    problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), known_remainder=standing())
+    problem = problem_of(planted.recording(planted.rigid(TRUE), 4, 30.0), standing())
     design = problem.design({}, (Autoregression.white(),) * len(MODEL.channels))
     expected = float(np.sum(problem.expected_remainder[problem.valid[:, JOINT], JOINT] ** 2))
-    assert given.remainders(design)[JOINT].power < 0.1 * expected
+    assert GIVEN.remainders(design)[JOINT].power < 0.1 * expected
 
 
 def test_nothing_is_known_of_what_depends_on_time() -> None:
-    records = Records.make([recorded(7)], planted.CUTOFF)
-    problem = LinearisedProblem(
-        MODEL, records, total_model(MODEL, fit_of_prior(planted.prior(LINKS))), known_remainder=standing()
-    )
-    for own in problem.features:
+    for own in problem_of(recorded(7), standing()).features:
         of_time = np.array([name == "time" for name in own.depends_on])[own.block]
         assert own.mean is not None
         assert own.covariance is not None
@@ -158,18 +153,8 @@ def test_nothing_is_known_of_what_depends_on_time() -> None:
 
 def test_of_a_channel_that_told_nothing_nothing_is_known() -> None:
     """Which is not that it lacks nothing."""
-    silent = recorded(1)
-    effort = silent.effort.copy()
-    effort[:, JOINT] = np.nan
-    found = remainder_of_model(MODEL, [replace(silent, effort=effort)], planted.CUTOFF, LINKS.ravel(), ())
-    assert found is not None
-    problem = LinearisedProblem(
-        MODEL,
-        Records.make([recorded(2)], planted.CUTOFF),
-        total_model(MODEL, fit_of_prior(planted.prior(LINKS))),
-        known_remainder=found,
-    )
-    assert [own.mean is None for own in problem.features] == [c == JOINT for c in range(len(MODEL.channels))]
+    features = problem_of(recorded(2), with_a_share(0.0)).features
+    assert [own.mean is None for own in features] == [channel == JOINT for channel in range(len(MODEL.channels))]
 
 
 def test_a_joint_that_stands_still_makes_no_feature_large() -> None:
@@ -189,7 +174,7 @@ def test_a_basis_of_other_features_is_refused() -> None:
     scales = (known.basis.scales[0][1:], *known.basis.scales[1:])
     other = replace(known, basis=replace(known.basis, scales=scales))
     with pytest.raises(InputError, match=r"identify again"):
-        named(other, [recorded(2)])
+        _ = problem_of(recorded(2), other).features
 
 
 def test_of_a_recording_that_is_too_short_nothing_is_known() -> None:

@@ -14,16 +14,15 @@ from geomid_ros.types import BoolArray
 from . import planted
 
 FLOOR = np.full(3, planted.NOISE)
+MODEL, INERTIAS = planted.model(), planted.true_inertias(2, 0.1)
+RECORDS = Records.make([planted.recording(planted.rigid(INERTIAS), 2)], planted.CUTOFF)
 
 
 def problem(joint: int, level: float, floor: float = 1.0) -> LinearisedProblem:
     """With Coulomb friction of a level at a joint, where the noise is so many times the planted one."""
-    model = planted.model()
-    inertias = planted.true_inertias(2, 0.1)
-    records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
     friction = (identified_effect("coulomb_friction"), AtJoint(joint), np.array([level]))
-    total = replace(total_model(model, fit_of_prior(planted.prior(inertias))), effects=(friction,))
-    return LinearisedProblem(model, records, total, floor * FLOOR)
+    total = replace(total_model(MODEL, fit_of_prior(planted.prior(INERTIAS))), effects=(friction,))
+    return LinearisedProblem(MODEL, RECORDS, total, floor * FLOOR)
 
 
 def valid(joint: int, level: float, floor: float = 1.0) -> BoolArray:
@@ -45,29 +44,21 @@ def test_noise_by_which_hardly_an_instant_counts_is_not_told() -> None:
         assert np.all(told)
 
 
-def test_without_friction_all_that_moves_counts() -> None:
-    model = planted.model()
-    inertias = planted.true_inertias(2, 0.1)
-    records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
-    np.testing.assert_array_equal(valid(1, 0.0), records.usable(model, model.rows(records.samples).targets))
-
-
 @pytest.mark.parametrize("joint", [0, 1, 2])
 def test_the_more_friction_for_the_noise_the_fewer_instants_count(joint: int) -> None:
     sets = [valid(joint, level)[:, joint] for level in (0.0, 0.1, 1.0, 10.0)]
     for smaller, larger in zip(sets[1:], sets, strict=False):
         assert np.all(larger[smaller])
         assert np.count_nonzero(smaller) < np.count_nonzero(larger)
+    np.testing.assert_array_equal(sets[0], RECORDS.usable(MODEL, MODEL.rows(RECORDS.samples).targets)[:, joint])
     np.testing.assert_array_equal(valid(joint, 10.0, floor=10.0)[:, joint], sets[2])
 
 
 def test_what_is_left_out_is_near_reversals_of_the_joint() -> None:
-    inertias = planted.true_inertias(2, 0.1)
-    records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
     without, with_friction = valid(2, 0.0)[:, 2], valid(2, 2.0)[:, 2]
     out = without & ~with_friction
     assert np.any(out)
-    speed = np.abs(records.samples.velocity[:, 2])
+    speed = np.abs(RECORDS.samples.velocity[:, 2])
     assert np.median(speed[out]) < 0.2 * np.median(speed[with_friction])
 
 

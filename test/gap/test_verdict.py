@@ -33,66 +33,68 @@ CANDIDATES = library.candidates(MODEL)
 PAYLOAD = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)
 
 
-class TestShare:
-    """Of a mean square that a curve of one variable explains."""
+RNG = np.random.default_rng(3)
+VARIABLE = RNG.uniform(-1.0, 1.0, 4000)
+NOISE = RNG.standard_normal(4000)
+SMOOTH = np.sin(2.0 * VARIABLE)
+GAPS = np.where(np.arange(4000) % 3 == 0, np.nan, 0.0)
+WILD = np.where(np.arange(4000) < 10, 1e6, 1.0) * VARIABLE  # does not spoil its curve
 
-    RNG = np.random.default_rng(3)
-    VARIABLE = RNG.uniform(-1.0, 1.0, 4000)
-    NOISE = RNG.standard_normal(4000)
 
-    def test_a_smooth_curve_is_explained_and_noise_is_not(self) -> None:
-        assert share(np.sin(2.0 * self.VARIABLE), self.VARIABLE) > 0.99
-        assert share(self.NOISE, self.VARIABLE) < 0.01
+@pytest.mark.parametrize(
+    ("values", "variable", "least", "most"),
+    [
+        (SMOOTH, VARIABLE, 0.99, 1.0),
+        (NOISE, VARIABLE, 0.0, 0.01),
+        (2.0 * VARIABLE + NOISE, VARIABLE, 0.541, 0.601),  # 4/3 of 7/3
+        (np.sin(6.0 * VARIABLE), WILD, 0.9, 1.0),
+        (np.arange(12.0), np.arange(12.0), 0.0, 0.0),  # too few
+        (np.arange(14.0), np.arange(14.0), 0.9, 1.0),
+        (VARIABLE, np.ones(4000), 0.0, 0.0),  # one place
+    ],
+)
+def test_a_curve_of_one_variable_explains_a_share(
+    values: FloatArray, variable: FloatArray, least: float, most: float
+) -> None:
+    assert least <= share(values, variable) <= most
 
-    def test_a_sum_of_both_is_explained_in_part(self) -> None:
-        both = 2.0 * self.VARIABLE + self.NOISE
-        assert share(both, self.VARIABLE) == pytest.approx((4.0 / 3.0) / (4.0 / 3.0 + 1.0), abs=0.03)
 
-    def test_what_curves_explain_of_noise_does_not_count(self) -> None:
-        shares = [share(np.random.default_rng(k).standard_normal(60), self.VARIABLE[:60]) for k in range(200)]
-        assert 0.0 <= min(shares) < 0.01
-        assert np.mean(shares) < 0.1
+def test_what_curves_explain_of_noise_or_is_not_measured_does_not_count() -> None:
+    shares = [share(np.random.default_rng(k).standard_normal(60), VARIABLE[:60]) for k in range(200)]
+    assert 0.0 <= min(shares) < 0.01
+    assert np.mean(shares) < 0.1
+    values, kept = SMOOTH + NOISE, np.isfinite(GAPS)
+    assert share(values + GAPS, VARIABLE) == share(values[kept], VARIABLE[kept])
 
-    def test_nothing_is_said_of_too_few_or_of_one_place(self) -> None:
-        assert share(np.arange(12.0), np.arange(12.0)) == 0.0
-        assert share(np.arange(14.0), np.arange(14.0)) > 0.9
-        assert share(self.VARIABLE, np.ones(4000)) == 0.0
 
-    def test_what_is_not_measured_does_not_matter(self) -> None:
-        values = np.sin(2.0 * self.VARIABLE) + self.NOISE
-        holes = np.where(np.arange(4000) % 3 == 0, np.nan, values)
-        kept = np.isfinite(holes)
-        assert share(holes, self.VARIABLE) == share(values[kept], self.VARIABLE[kept])
-
-    def test_a_wild_value_of_the_variable_does_not_spoil_its_curve(self) -> None:
-        wild = self.VARIABLE.copy()
-        wild[:10] *= 1e6
-        assert share(np.sin(6.0 * self.VARIABLE), wild) > 0.9
+def located(residual: FloatArray, load: FloatArray, motion: FloatArray, channels: Any = MODEL.channels) -> Any:
+    """Of a motion: position and velocity ``(2, N, J)``."""
+    model: Any = SimpleNamespace(channels=channels)
+    samples = SimpleNamespace(seconds=np.arange(len(residual)) * 0.01, position=motion[0], velocity=motion[1])
+    records: Any = SimpleNamespace(samples=samples)
+    return locate_residuals(model, records, residual, load)
 
 
 def test_a_remainder_is_located_by_what_it_depends_on() -> None:
     """At three joints: on the second one's position, and on the direction of the third; the first shows its load."""
     rng = np.random.default_rng(8)
-    position, velocity = rng.uniform(-1.0, 1.0, (2, 3000, 3))
+    motion = position, velocity = rng.uniform(-1.0, 1.0, (2, 3000, 3))
     load = rng.uniform(0.0, 5.0, (3000, 3))
-    samples = SimpleNamespace(seconds=np.arange(3000) * 0.01, position=position, velocity=velocity)
     residual = np.column_stack([(load[:, 0] - 2.5) ** 2 - 2.0, np.sin(3.0 * position[:, 1]), np.sign(velocity[:, 2])])
-    found = locate_residuals(MODEL, SimpleNamespace(samples=samples), residual, load)  # type: ignore[arg-type]
+    found = located(residual, load, motion)
     assert [entry.channel for entry in found] == list(JOINTS)
     assert [strongest(entry) for entry in found] == ["load", "position", "reversals"]
     drifting = np.column_stack([np.linspace(-1.0, 1.0, 3000)] * 3)
-    in_time = locate_residuals(MODEL, SimpleNamespace(samples=samples), drifting, load)  # type: ignore[arg-type]
-    assert [strongest(entry) for entry in in_time] == ["time"] * 3
-    with_speed = locate_residuals(MODEL, SimpleNamespace(samples=samples), velocity**3, load)  # type: ignore[arg-type]
-    assert [strongest(entry) for entry in with_speed] == ["velocity"] * 3
+    assert [strongest(entry) for entry in located(drifting, load, motion)] == ["time"] * 3
+    assert [strongest(entry) for entry in located(velocity**3, load, motion)] == ["velocity"] * 3
+    nothing = ResidualDependence("wrench/fx", 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert strongest(nothing) == "unknown", "not the first in line"
 
 
 def test_a_wrench_depends_on_load_and_time_alone() -> None:
-    channels = (SimpleNamespace(name="wrench/fx", joint=None),)
-    samples = SimpleNamespace(seconds=np.arange(500) * 0.01, position=np.zeros((500, 0)), velocity=np.zeros((500, 0)))
     load = np.random.default_rng(1).uniform(size=(500, 1))
-    model, records = SimpleNamespace(channels=channels), SimpleNamespace(samples=samples)
-    (found,) = locate_residuals(model, records, load - 0.5, load)  # type: ignore[arg-type]
+    channels = (SimpleNamespace(name="wrench/fx", joint=None),)
+    (found,) = located(load - 0.5, load, np.zeros((2, 500, 0)), channels)
     assert (found.channel, strongest(found)) == ("wrench/fx", "load")
     assert (found.velocity, found.position, found.reversals) == (0.0, 0.0, 0.0)
 
@@ -142,19 +144,14 @@ def test_a_sentence_says_what_where_and_how_much(joint: str, link: str, where: s
     assert likely.sentence == f"Perhaps Stribeck friction{where}: {values}"
 
 
-def test_a_sentence_begins_with_a_capital_and_says_the_first_parameters() -> None:
+def test_a_sentence_says_the_first_parameters_or_the_first_moment_where_no_mass_is_told() -> None:
     found = {name: Quantity(1.0, 0.1, "m") for name in ("mass", "com_x", "com_y", "com_z", "ixx")}
     text = finding("payload", found, joint="wrist", link="hand").sentence
     assert text.startswith("A payload at link 'hand': mass 1 ± 0.2 m,")
     assert "com_z" in text
     assert "ixx" not in text
-
-
-def test_a_sentence_on_a_payload_says_its_first_moment_where_no_mass_is_told() -> None:
-    names = ["mass", "com_x", "com_y", "com_z"]
-    sizes = {name: Quantity(1.0, 2.0, "kg" if name == "mass" else "m") for name in names}
     moment = {"m x": Quantity(0.02, 0.001, "kg m")}
-    assert "m x 0.02 ± 0.002 kg m" in finding("payload", sizes, joint="wrist", link="hand", moment=moment).sentence
+    assert "m x 0.02 ± 0.002 kg m" in finding("payload", found, joint="wrist", link="hand", moment=moment).sentence
 
 
 def test_what_settles_payloads_at_two_links_is_a_motion_that_turns_both() -> None:
@@ -182,32 +179,18 @@ def test_uncertainty_of_the_fit_explains_what_noise_does_not() -> None:
     assert np.mean(squares) == pytest.approx(np.mean(expected), rel=0.35)
 
 
-@pytest.fixture(scope="module")
-def drifting() -> GapResult:
+def test_a_gap_that_stays_open_is_told_with_what_it_depends_on_and_nothing_is_named_for_it() -> None:
     """An effort that creeps in the unseen recording only, so that nothing can be learnt of it."""
     dynamics = planted.rigid(planted.true_inertias(3, 0.1))
     unseen = planted.recording(dynamics, 4, 30.0)
     creeping = unseen.effort.copy()
     creeping[:, 1] += CREEP * ((unseen.stamps - unseen.stamps[0]) * 1e-9 - 15.0)
     unseen = replace(unseen, effort=creeping)
-    return find_gap(planted.model(), [planted.recording(dynamics, 3)], [unseen], planted.CUTOFF)
-
-
-def test_a_gap_that_stays_open_is_told_with_what_it_depends_on(drifting: GapResult) -> None:
-    assert drifting.verdict == "incomplete"
-    assert [(entry.joint, entry.depends_on) for entry in drifting.unexplained] == [
-        (planted.model().robot.joint_names[1], "time")
-    ]
-    assert drifting.unexplained[0].gap == pytest.approx(drifting.moving[1], rel=0.01)
-
-
-def test_and_nothing_is_named_for_it(drifting: GapResult) -> None:
-    assert drifting.findings == ()
-
-
-def test_what_depends_on_nothing_is_not_said_to_depend_on_the_first_in_line() -> None:
-    assert strongest(ResidualDependence("wrench/fx", 0.0, 0.0, 0.0, 0.0, 0.0)) == "unknown"
-    assert strongest(ResidualDependence("joint1", 0.1, 0.0, 0.3, 0.2, 0.0)) == "load"
+    result = find_gap(planted.model(), [planted.recording(dynamics, 3)], [unseen], planted.CUTOFF)
+    (entry,) = result.unexplained
+    assert (result.verdict, entry.joint, entry.depends_on) == ("incomplete", JOINTS[1], "time")
+    assert entry.gap == pytest.approx(result.moving[1], rel=0.01)
+    assert result.findings == ()
 
 
 SEED, JOINT = 20, 1

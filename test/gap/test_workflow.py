@@ -10,7 +10,6 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import analysis, workflow
@@ -35,8 +34,9 @@ def recordings(efforts: Efforts, seed: int) -> tuple[list[Samples], list[Samples
     return [planted.recording(efforts, seed)], [planted.recording(efforts, seed + 1000, 15.0)]
 
 
-def run(efforts: Efforts, seed: int) -> GapResult:
-    return find_gap(planted.model(), *recordings(efforts, seed))
+def run(efforts: Efforts, seed: int, model: MeasurementModel | None = None, **known: Any) -> GapResult:
+    """Beside a URDF alone, unless more is known."""
+    return find_gap(model or planted.model(), *recordings(efforts, seed), **known)
 
 
 def beside(seed: int, extra: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], joint: int) -> Efforts:
@@ -81,12 +81,6 @@ def test_a_planted_effect_is_named(effect: str, joint: int) -> None:
     assert np.max(result.moving) < 1.2, "near reversals the shape counts, which is not told here"
 
 
-def test_too_little_is_refused() -> None:
-    short = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, seconds=1.0)
-    with pytest.raises(InputError, match="too short"):
-        find_gap(planted.model(), [short], [short])
-
-
 PAYLOAD = 0.6  # [kg]
 
 
@@ -107,11 +101,9 @@ def with_body(inertias: FloatArray, link: int, centre: FloatArray) -> FloatArray
 
 def test_a_payload_that_only_the_prior_tells_is_not_sure_but_beside_an_identified_model_it_is() -> None:
     inertias = planted.true_inertias(51, 0.2)
-    loaded = recordings(planted.rigid(carrying(inertias)), 51)
-    guessed = find_gap(planted.model(), *loaded)
-    assert not [finding for finding in guessed.findings if finding.confidence == "confident"]
-    known = find_gap(planted.model(), *loaded, nominal=inertias.ravel())
-    (finding,) = known.findings
+    loaded = planted.rigid(carrying(inertias))
+    assert not run(loaded, 51).sure
+    (finding,) = run(loaded, 51, nominal=inertias.ravel()).findings
     assert (finding.effect, finding.joint) == ("payload", JOINTS[-1])
     assert finding.confidence == "confident"
     mass = finding.parameters["mass"]
@@ -129,18 +121,18 @@ def identified(seed: int, motion: int, body: bool = False) -> Estimate:
     return identifier.solve()
 
 
-def said(before: Estimate) -> OtherRecordings:
-    """What the recordings of an estimate say of its links."""
-    return OtherRecordings(before.information.rows, before.information.residuals)
+def known(before: Estimate) -> dict[str, Any]:
+    """An estimate, and what its recordings say of its links."""
+    return {
+        "nominal": before.parameters,
+        "previous": OtherRecordings(before.information.rows, before.information.residuals),
+    }
 
 
 def test_a_payload_weighs_what_it_weighs_beside_inertias_that_were_identified_together() -> None:
     """Their errors are large, but not where the motion tells: to know both makes the payload's mass sharp."""
-    before, loaded = identified(52, 53), recordings(planted.rigid(carrying(planted.true_inertias(52, 0.2))), 52)
-    found = [
-        find_gap(planted.model(), *loaded, nominal=before.parameters, previous=known).findings[0].parameters["mass"]
-        for known in (said(before), None)
-    ]
+    before, loaded = known(identified(52, 53)), planted.rigid(carrying(planted.true_inertias(52, 0.2)))
+    found = [run(loaded, 52, **own).findings[0].parameters["mass"] for own in (before, before | {"previous": None})]
     assert abs(found[0].value - PAYLOAD) < 3.0 * found[0].std
     beyond_gain = [np.sqrt(mass.std**2 - (GAIN * mass.value) ** 2) for mass in found]
     assert beyond_gain[0] < 0.02 * PAYLOAD
@@ -150,8 +142,7 @@ def test_a_payload_weighs_what_it_weighs_beside_inertias_that_were_identified_to
 def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
     """The second link turns about its own origin and a vertical axis: nothing lifts its mass."""
     inertias, centre = planted.true_inertias(51, 0.2), np.array([0.02, 0.0, 0.1])
-    before, loaded = identified(51, 53), recordings(planted.rigid(with_body(inertias, 1, centre)), 52)
-    result = find_gap(planted.model(), *loaded, nominal=before.parameters, previous=said(before))
+    result = run(planted.rigid(with_body(inertias, 1, centre)), 52, **known(identified(51, 53)))
     (change,) = result.links
     assert not result.findings
     assert (change.link, change.confidence) == (planted.model().body_names[1], "confident")
@@ -171,7 +162,7 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, monkeypatch: 
     may have been changed in its place, and not named where the size that is written may be nothing."""
     lighter = planted.true_inertias(61, 0.2)
     lighter[link] *= 0.7
-    before, robot = identified(61, 61), recordings(planted.rigid(lighter), 561)
+    before, robot = known(identified(61, 61)), planted.rigid(lighter)
     analysed: list[Any] = []
 
     def analyse(*given: Any) -> Any:
@@ -179,7 +170,7 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, monkeypatch: 
         return analysed[-1]
 
     def found() -> GapResult:
-        return find_gap(planted.model(), *robot, nominal=before.parameters, previous=said(before))
+        return run(robot, 561, **before)
 
     monkeypatch.setattr(workflow, "analyse", analyse)
     result = found()
@@ -225,13 +216,8 @@ def test_the_centre_of_a_difference_is_as_unsure_as_mass_and_first_moment_togeth
 
 def test_a_gain_of_all_joints_is_no_payload() -> None:
     """Where it is known what the links weigh."""
-    before, rigid = identified(51, 53), planted.rigid(planted.true_inertias(51, 0.2))
-    robot = [
-        planted.recording(lambda q, v, a: 1.12 * rigid(q, v, a), seed, seconds)
-        for seed, seconds in ((52, 30.0), (1052, 15.0))
-    ]
-    known = {"nominal": before.parameters, "previous": said(before)}
-    result = find_gap(planted.model(), robot[:1], robot[1:], **known)
+    rigid = planted.rigid(planted.true_inertias(51, 0.2))
+    result = run(lambda q, v, a: 1.12 * rigid(q, v, a), 52, **known(identified(51, 53)))
     gains = {f.joint: f.parameters["gain"] for f in result.findings if f.effect == "effort_gain"}
     assert set(gains) == set(JOINTS)
     assert all(abs(gain.value - 1.12) < 4.0 * gain.std for gain in gains.values())
@@ -242,9 +228,9 @@ def test_a_gain_of_all_joints_is_no_payload() -> None:
 def test_a_payload_that_is_gone_is_no_other_effect() -> None:
     """What the recordings with it said of the links contradicts those without: then it is worth little, and is not
     imitated by wrong sensors."""
-    before, without = identified(54, 54, body=True), recordings(planted.rigid(planted.true_inertias(54, 0.2)), 554)
-    result = find_gap(planted.model(), *without, nominal=before.parameters, previous=said(before))
-    assert not [finding for finding in result.findings if finding.confidence == "confident"]
+    without = planted.rigid(planted.true_inertias(54, 0.2))
+    result = run(without, 554, **known(identified(54, 54, body=True)))
+    assert not result.sure
     assert np.max(result.gap.inertias_only) < 1.3
 
 
@@ -253,8 +239,7 @@ def test_a_link_is_heavier_by_a_payload_that_the_simulator_lacks_and_its_frictio
     friction = np.array([0.0, 0.4, 0.0])
     twin_robot, robot = planted.rigid(inertias), planted.rigid(carrying(inertias))
     twin = planted.recording(lambda q, v, a: twin_robot(q, v, a) + friction * v, 61)
-    loaded = recordings(lambda q, v, a: robot(q, v, a) + friction * v, 62)
-    result = find_gap(planted.model(), *loaded, simulated=[twin])
+    result = run(lambda q, v, a: robot(q, v, a) + friction * v, 62, simulated=[twin])
     assert result.findings == ()
     (change,) = result.links
     assert (change.link, change.joint, change.confidence) == ("link3", "joint3", "confident")
@@ -293,7 +278,7 @@ def test_friction_that_has_grown_is_named_with_what_it_was() -> None:
     model = MeasurementModel(planted.model().robot, [ViscousFriction()])
     before, now = np.array([0.3, 0.5, 0.2]), np.array([0.3, 0.8, 0.2])
     nominal = np.concatenate([inertias.ravel(), before])
-    result = find_gap(model, *recordings(lambda q, v, a: robot(q, v, a) + now * v, 71), nominal=nominal)
+    result = run(lambda q, v, a: robot(q, v, a) + now * v, 71, model, nominal=nominal)
     (finding,) = result.findings
     assert (finding.effect, finding.joint, finding.confidence) == ("viscous_friction", JOINTS[1], "confident")
     size = finding.parameters["coefficient"]
@@ -320,7 +305,7 @@ def test_dry_friction_that_has_grown_keeps_the_shape_that_the_model_has() -> Non
         whole[:, 1] += 0.7 * (1.0 + 0.6 * np.exp(-((speed / 0.31) ** 2))) * np.tanh(speed / 0.02)
         return whole
 
-    (finding,) = find_gap(model, *recordings(efforts, 72), nominal=nominal).findings
+    (finding,) = run(efforts, 72, model, nominal=nominal).findings
     assert (finding.effect, finding.joint, finding.confidence) == ("stribeck_friction", JOINTS[1], "confident")
     assert finding.was["speed"] == 0.31
     for name, value in zip(("level", "excess"), 0.7 * shape, strict=True):
@@ -338,8 +323,8 @@ def test_friction_in_proportion_to_the_effort_is_of_that_of_other_friction_too()
         passed = robot(q, v, a) + viscous * v
         return passed + np.array([0.2, 0.0, 0.0]) * np.abs(passed) * np.sign(v)
 
-    result = find_gap(model, *recordings(efforts, 73), nominal=np.append(inertias.ravel(), viscous))
-    (finding,) = [f for f in result.findings if f.confidence == "confident"]
+    result = run(efforts, 73, model, nominal=np.append(inertias.ravel(), viscous))
+    (finding,) = result.sure
     assert (finding.effect, finding.joint) == ("load_friction", JOINTS[0])
     size = finding.parameters["coefficient"]
     assert size.value == pytest.approx(0.2, abs=0.02)
@@ -355,7 +340,7 @@ def test_friction_that_follows_reversals_late_is_no_delay() -> None:
         share = 1.0 - np.exp(-1.0 / (0.02 * planted.RATE))
         return np.asarray(robot(q, v, a) + 0.5 * lfilter([share], [1.0, share - 1.0], np.sign(v), axis=0))
 
-    result = find_gap(planted.model(), *recordings(efforts, 81))
+    result = run(efforts, 81)
     assert not [f for f in result.findings if f.effect == "effort_delay"]
 
 
@@ -369,7 +354,7 @@ def test_a_long_delay_is_found_beside_what_has_no_name() -> None:
         times = np.arange(len(q)) / planted.RATE
         return np.asarray(CubicSpline(times, whole)(times - delay))
 
-    result = find_gap(planted.model(), *recordings(efforts, 81))
+    result = run(efforts, 81)
     (found,) = [f for f in result.sure if f.effect == "effort_delay"]
     assert found.parameters["delay"].value == pytest.approx(delay, abs=2e-3)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.gap.candidates import Candidate, EffectsFit, EffectTerm
+from geomid_ros.gap.candidates import EffectsFit, EffectTerm
 from geomid_ros.gap.evidence.features import Basis, Features, KnownRemainder, features
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records, TotalModel
@@ -56,6 +56,17 @@ class LinearisedProblem:
         gravity = total.gravity
         self.model = model.with_gravity(gravity) if np.any(gravity != model.robot.gravity) else model
         self._scales = total.scales(len(model.channels))
+
+    @staticmethod
+    def at(
+        model: MeasurementModel,
+        records: Records,
+        found: EffectsFit,
+        floor: FloatArray | None = None,
+        known_remainder: KnownRemainder | None = None,
+    ) -> LinearisedProblem:
+        """Return the problem linearised at a joint fit."""
+        return LinearisedProblem(model, records, total_model(model, found), floor, known_remainder)
 
     def with_floor(self, floor: FloatArray) -> LinearisedProblem:
         """Return a copy with another noise ``floor (C,)``, which decides which samples are valid."""
@@ -115,12 +126,10 @@ class LinearisedProblem:
                 sizes[:, joint] += effect.dry_friction(coefficient, self.situation.transmitted[:, joint])
         return sizes
 
-    def columns(
-        self, candidates: Sequence[Candidate], base: Sequence[EffectTerm]
-    ) -> dict[EffectTerm, dict[int, FloatArray]]:
-        """Columns ``(N,)`` of all candidates, and of the effects in the model, by the channels that they affect."""
+    def columns(self, terms: Iterable[EffectTerm]) -> dict[EffectTerm, dict[int, FloatArray]]:
+        """Columns ``(N,)`` of terms by the channels that they affect."""
         columns: dict[EffectTerm, dict[int, FloatArray]] = {}
-        for term in dict.fromkeys([*base, *(term for candidate in candidates for term in candidate.terms)]):
+        for term in dict.fromkeys(terms):
             if isinstance(term.effect, SituationEffect):
                 by_state = term.effect.columns(self.situation, term.place)[:, :, term.index]
                 columns[term] = {channel: column for channel, column in enumerate(by_state.T) if np.any(column)}
@@ -197,7 +206,7 @@ class LinearisedProblem:
     def typical_sizes(self, terms: Sequence[EffectTerm]) -> FloatArray:
         """Coefficients ``(terms,)`` at which a column first reaches the measurement in any channel; 0 without columns,
         infinite for zero columns."""
-        measured, columns = root_mean_square(self.rows.targets), self.columns((), terms)
+        measured, columns = root_mean_square(self.rows.targets), self.columns(terms)
         sizes = []
         for term in terms:
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -205,22 +214,27 @@ class LinearisedProblem:
             sizes.append(float(np.fmin.reduce(ratios, initial=np.inf)) if ratios else 0.0)
         return np.array(sizes)
 
-    def residual(self, columns: Columns, found: EffectsFit) -> FloatArray:
-        """Measurement minus prediction ``(N, C)``; for a delayed channel at the true time."""
-        rows = self.rows
+    def residual(self, found: EffectsFit, columns: Columns | None = None) -> FloatArray:
+        """Measurement minus prediction ``(N, C)``, from the ``columns`` if they are known; for a delayed channel at the
+        true time."""
+        rows, columns = self.rows, self.columns(found.terms) if columns is None else columns
         residual: FloatArray = rows.targets - rows.coefficients @ found.loaded_inertias.ravel()
         for term in found.terms:
             for channel, column in columns[term].items():
                 residual[:, channel] -= found.value(term) * column
         return residual
 
+    def valid_rms(self, residual: FloatArray) -> FloatArray:
+        """RMS ``(C,)`` of a ``residual (N, C)`` over the valid targets; NaN where there are none."""
+        return root_mean_square(np.where(self.valid, residual, np.nan))
+
     def remainder(self, design: Design, found: EffectsFit) -> FloatArray:
         """Mean of the remainder ``(N, C)``, from the whitened rows of a ``design``."""
         return mean_of(self.features, found.remainders(design))
 
-    def variance(self, columns: Columns, found: EffectsFit) -> FloatArray:
+    def variance(self, found: EffectsFit) -> FloatArray:
         """Variance of the prediction ``(N, C)`` from the uncertainty of the fit."""
-        covariance, variance = found.covariance, np.empty_like(self.rows.targets)
+        covariance, variance, columns = found.covariance, np.empty_like(self.rows.targets), self.columns(found.terms)
         for channel in range(variance.shape[1]):  # one by one, to save memory
             links = self.rows.coefficients[:, channel]
             payloads = [links[:, 10 * carrier : 10 * carrier + 10] for carrier in found.bodies]

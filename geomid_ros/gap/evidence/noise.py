@@ -109,27 +109,21 @@ def runs_of(valid: BoolArray, segment: IntArray) -> list[slice]:
     return [slice(int(a), int(b) + 1) for a, b in zip(np.flatnonzero(starts), np.flatnonzero(ends), strict=True)]
 
 
-@dataclass(frozen=True, eq=False)
-class Repeats:
-    """Noise std of each channel, ``noise (C,)``, NaN where no motion is repeated or it is not measured, from ``counts
-    (C,)`` independent samples."""
+def noise_floor(model: MeasurementModel, records: Records, remainder: FloatArray) -> FloatArray:
+    """Noise std of each channel ``(C,)``, given the std of a model's residual, ``remainder (C,)``, which also estimates
+    the noise, apart from the model's remainder.
 
-    noise: FloatArray
-    counts: FloatArray
-
-    def floor(self, remainder: FloatArray) -> FloatArray:
-        """Noise std of each channel ``(C,)``, given the std of a model's residual, ``remainder (C,)``, which also
-        estimates the noise, apart from the model's remainder.
-
-        It uses more data, so it is taken unless the repeats give significantly less: the smaller of two estimates that
-        differ by chance is too small.
-        """
-        significant = self.noise * (1.0 + STDS_OF_95 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
-        return np.where(significant | np.isnan(remainder), self.noise, remainder)
+    It uses more data, so it is taken unless repeats of a motion give significantly less: the smaller of two estimates
+    that differ by chance is too small.
+    """
+    noise, counts = noise_by_repeats(model, records)
+    significant = noise * (1.0 + STDS_OF_95 / np.sqrt(2.0 * np.maximum(counts, 1.0))) < remainder
+    return np.where(significant | np.isnan(remainder), noise, remainder)
 
 
-def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
-    """Noise std of each channel, without a model; none for channels that never change.
+def noise_by_repeats(model: MeasurementModel, records: Records) -> tuple[FloatArray, FloatArray]:
+    """Noise std of each channel ``(C,)`` without a model, and the number of independent samples ``(C,)`` that it is
+    from; NaN for channels that never change, are not measured, or whose motion is not repeated.
 
     Two runs of a motion, in one stretch or in two, differ by the noise of both, whatever the robot does. So half their
     mean squared difference is the variance of the noise, coloured or not.
@@ -150,7 +144,7 @@ def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
         squares[measured] += 0.5 * np.sum((repeated - values[0][overlap][:, measured]) ** 2, axis=0)
         counts[measured] += np.count_nonzero(overlap)
     independent = len(records.samples) / max(1, sum(len(part) for part in records.dense))
-    return Repeats(np.sqrt(squares / np.where(counts > 0.0, counts, np.nan)), independent * counts)
+    return np.sqrt(squares / np.where(counts > 0.0, counts, np.nan)), independent * counts
 
 
 def repeated_after(first: Samples, second: Samples) -> float | None:

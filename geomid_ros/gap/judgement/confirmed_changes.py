@@ -111,7 +111,8 @@ class _Refit:
         total = self._without_uncertain(sure)
         for _ in range(_REFITS):
             problem = LinearisedProblem(self.model, self.records, total, self.analysis.floor)
-            columns = problem.columns([*named, *ordinary], self.analysis.search.prior.terms)
+            chosen = (term for candidate in (*named, *ordinary) for term in candidate.terms)
+            columns = problem.columns([*self.analysis.search.prior.terms, *chosen])
             design = problem.design_alone(columns)
             while True:
                 found = self._fit(problem, design, named, ordinary, found)
@@ -278,7 +279,7 @@ def _changes(
 ) -> list[float]:
     from scipy.optimize import nnls  # noqa: PLC0415 seldom needed
 
-    columns = problem.columns((), [*stored, *others])
+    columns = problem.columns([*stored, *others])
     values = np.array([fitted.value(term) for term in (*stored, *others)])
     stacked = np.stack([columns[term].get(joint, np.zeros(len(problem.records.samples))) for term in columns], axis=1)
     least, _ = nnls(stacked[:, : len(stored)], stacked @ values)

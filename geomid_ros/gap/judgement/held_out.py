@@ -9,7 +9,7 @@ import numpy as np
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import EffectsFit
 from geomid_ros.gap.evidence.features import hats, knots
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square
 from geomid_ros.gap.evidence.records import Records
 from geomid_ros.gap.result import GapErrors, ResidualDependence, Trace
 from geomid_ros.inference.fit import fit_of_prior
@@ -30,16 +30,15 @@ class HeldOut:
         self._last = self._problem(analysis.effects)
 
     def _problem(self, fit: EffectsFit) -> LinearisedProblem:
-        total, standing = total_model(self._model, fit), self._analysis.problem.known_remainder
-        return LinearisedProblem(self._model, self._records, total, self._analysis.floor, standing)
+        known_remainder = self._analysis.problem.known_remainder
+        return LinearisedProblem.at(self._model, self._records, fit, self._analysis.floor, known_remainder)
 
     @cached_property
     def _residuals(self) -> list[FloatArray]:
         """Residuals ``(N, C)`` of the given model, of the one with fitted inertias only, and of the last fit."""
-        prior, names = self._analysis.search.prior, self._analysis.effects
-        fits = (fit_of_prior(prior), self._analysis.inertias_only, names)
-        pairs = ((fit, self._last if fit is names else self._problem(fit)) for fit in fits)
-        return [problem.residual(problem.columns(fit.chosen, prior.terms), fit) for fit, problem in pairs]
+        names = self._analysis.effects
+        fits = (fit_of_prior(self._analysis.search.prior), self._analysis.inertias_only)
+        return [*(self._problem(fit).residual(fit) for fit in fits), self._last.residual(names)]
 
     @cached_property
     def gap(self) -> GapErrors:
@@ -47,9 +46,7 @@ class HeldOut:
 
         The known remainder of the model may differ now by the default std, which is no gap.
         """
-        names = self._analysis.effects
-        variance = self._last.variance(self._last.columns(names.chosen, self._analysis.search.prior.terms), names)
-        uncertainty = self._times_floor(np.sqrt(variance))
+        uncertainty = self._times_floor(np.sqrt(self._last.variance(self._analysis.effects)))
         before, bare, after = map(self._times_floor, self._residuals)
         blocks = (len(rows.depends_on) if rows.mean is not None else 0 for rows in self._analysis.problem.features)
         return GapErrors(before, bare, after, np.sqrt(1.0 + uncertainty**2 + DEFAULT_VARIANCE * np.array([*blocks])))
@@ -57,24 +54,22 @@ class HeldOut:
     @cached_property
     def on_all(self) -> GapErrors:
         """Residuals at all samples, those at rest and near reversals included, in units of the floor."""
-        trace = self.trace
-        fits = (trace.before, trace.inertias_only, trace.after)
-        before, bare, after = (root_mean_square(trace.measured - each) / self._analysis.floor for each in fits)
+        before, bare, after = (root_mean_square(residual) / self._analysis.floor for residual in self._residuals)
         return GapErrors(before, bare, after, self.gap.expected)
 
     @property
     def fitted_gap(self) -> FloatArray:
         """RMS residual ``(C,)`` of the last fit on the data that were fitted, in units of the floor."""
-        problem, names = self._analysis.problem, self._analysis.effects
-        residual = problem.residual(problem.columns(names.chosen, self._analysis.search.prior.terms), names)
-        return root_mean_square(np.where(problem.valid, residual, np.nan)) / self._analysis.floor
+        problem = self._analysis.problem
+        return problem.valid_rms(problem.residual(self._analysis.effects)) / self._analysis.floor
 
     @cached_property
     def is_open(self) -> BoolArray:
         """True for the channels ``(C,)`` whose gap exceeds noise and the uncertainty of the fit, both with the known
         remainder and without: it may not hold for another motion."""
         # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
-        limit = GAP_ABOVE * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) * self.gap.expected
+        counts = np.maximum(np.count_nonzero(self._last.valid, axis=0), 1)
+        limit = GAP_ABOVE * (1.0 + 2.0 / np.sqrt(2.0 * counts)) * self.gap.expected
         without_standing = self._times_floor(self._residuals[-1] - self._last.expected_remainder)
         after = np.minimum(self.gap.after, without_standing)
         return np.asarray(np.nan_to_num(after) >= np.nan_to_num(limit, nan=np.inf))
@@ -107,16 +102,9 @@ class HeldOut:
         residual = np.where(self._last.valid, self._residuals[-1], np.nan)
         return locate_residuals(self._model, self._records, residual, self.trace.load)
 
-    @cached_property
-    def counts(self) -> FloatArray:
-        """Number of independent samples of each channel ``(C,)``."""
-        return np.asarray(np.sum(self._last.valid, axis=0, dtype=np.float64))
-
     def _times_floor(self, residual: FloatArray) -> FloatArray:
         """RMS of a ``residual (N, C)`` in units of the floor ``(C,)``; NaN where nothing is measured."""
-        squares = np.sum(np.where(self._last.valid, residual, 0.0) ** 2, axis=0)
-        counts = np.where(self.counts > 0.0, self.counts, np.nan)
-        return np.asarray(np.sqrt(squares / counts) / self._analysis.floor)
+        return self._last.valid_rms(residual) / self._analysis.floor
 
 
 def locate_residuals(
