@@ -12,6 +12,7 @@ from typing import Any
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder, tostring
 
 import numpy as np
+import pinocchio as pin
 from defusedxml.common import DefusedXmlException, DTDForbidden
 from defusedxml.ElementTree import DefusedXMLParser, ParseError
 
@@ -300,14 +301,7 @@ def origin_of(element: Element, where: str) -> tuple[FloatArray, FloatArray]:
 
 def axes_of(angles: Sequence[float]) -> FloatArray:
     """Return the rotation matrix ``(3, 3)`` of URDF roll, pitch and yaw [rad]: about fixed axes, x first."""
-    (r, p, y), (s_r, s_p, s_y) = np.cos(angles), np.sin(angles)
-    return np.array(
-        [
-            [y * p, y * s_p * s_r - s_y * r, y * s_p * r + s_y * s_r],
-            [s_y * p, s_y * s_p * s_r + y * r, s_y * s_p * r - y * s_r],
-            [-s_p, p * s_r, p * r],
-        ]
-    )
+    return np.array(pin.rpy.rpyToMatrix(*angles))
 
 
 def read_numbers(

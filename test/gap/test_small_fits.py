@@ -112,7 +112,7 @@ def test_a_row_that_a_name_explains_exactly_does_not_lose_itself_in_the_remainde
     nothing: the two in turn, each larger by the other, stay within rounding."""
     whole = designed(3)
     first, other = whole.channels
-    few = ChannelRows.of(
+    few = ChannelRows(
         first.columns[:1], np.ones((1, 1)), np.zeros(1, dtype=np.intp), first.place, first.links, 1e-3 * np.eye(1)
     )
     design, found = Design.of((few, other), whole.dimension), None

@@ -28,13 +28,13 @@ def rows(
     ``variances`` in units of the noise's, and of what was unsure ``before``."""
     rng = np.random.default_rng(seed)
     columns, features = rng.standard_normal((ROWS, COLUMNS)), rng.standard_normal((ROWS, len(BLOCK)))
-    made = ChannelRows.of(np.column_stack([columns, np.zeros(ROWS)]), features, BLOCK, {}, np.arange(COLUMNS))
+    made = ChannelRows(np.column_stack([columns, np.zeros(ROWS)]), features, BLOCK, {}, np.arange(COLUMNS))
     drawn = made.features @ (np.sqrt(variances[BLOCK]) * rng.standard_normal(len(BLOCK)))
     if before is not None:
         values, vectors = np.linalg.eigh(before)
         drawn += features @ (vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(BLOCK))))
     target = columns @ [1.0, 2.0, 3.0] + noise * (drawn + rng.standard_normal(ROWS))
-    return ChannelRows.of(np.column_stack([columns, target]), features, BLOCK, {}, np.arange(COLUMNS), before)
+    return ChannelRows(np.column_stack([columns, target]), features, BLOCK, {}, np.arange(COLUMNS), before)
 
 
 def covariance(own: ChannelRows, variances: FloatArray) -> FloatArray:
@@ -137,7 +137,7 @@ def test_beside_other_recordings_it_changes_as_much_as_usual_and_by_a_share_of_w
 
 def test_of_what_hardly_occurs_features_are_not_made_large() -> None:
     own = rows(7)
-    rare = ChannelRows.of(own.columns, own.features * np.where(BLOCK == 1, 1e-9, 1.0), BLOCK, {}, own.links)
+    rare = ChannelRows(own.columns, own.features * np.where(BLOCK == 1, 1e-9, 1.0), BLOCK, {}, own.links)
     assert np.max(rare.features[:, BLOCK == 1] ** 2) < 1e-6
     assert np.max(rare.scale) < 1e3
 
@@ -146,7 +146,7 @@ def test_beside_other_recordings_a_model_lacks_what_is_new_but_no_more_than_all(
     own, parameters = rows(6, before=BEFORE), np.array([1.0, 2.0, 3.0])
 
     def lack(expected: FloatArray | None) -> RemainderFit:
-        again = ChannelRows.of(own.columns, own.features / own.scale, BLOCK, {}, own.links, BEFORE, expected)
+        again = ChannelRows(own.columns, own.features / own.scale, BLOCK, {}, own.links, BEFORE, expected)
         return Design.of([again], COLUMNS).remainders((), (), parameters)[0]
 
     alone = lack(None)

@@ -206,7 +206,6 @@ class LoadFriction(LoadEffect):
     settled_by = "the same motion with and without a known payload"
     drift = FRICTION_DRIFT
     largest = 1.0  # at 1 the gear transmits nothing
-    positives = 1  # friction dissipates energy
 
     def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
         return np.abs(load) * sign

@@ -51,6 +51,7 @@ class EffortGain(SituationEffect):
     default_prior_std = (0.1,)
     scales_measurement = True
     corrected_in_samples = True
+    positives = 0  # the gain minus 1
 
     def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if no model may be built at these coefficients."""
