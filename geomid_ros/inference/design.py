@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from geomid_ros.inference.prior import Hypothesis
 from geomid_ros.inference.remainder import Marginal, Remainder
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
+_Owner = TypeVar("_Owner", bound="Remembering")
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 BLOCKS = 8  # of time; their scatter shows how dependent the rows are
@@ -72,7 +73,7 @@ class ChannelRows:
         return Remainder(self.features.T @ self.features, crossed, self.block, self.count, self.prior_covariance)
 
     def marginalised(self, variances: FloatArray) -> Marginal:
-        """Products with the remainder integrated out; the last ones are kept, as most designs differ in few channels."""
+        """Integrate the remainder out; the last products are kept, because most designs differ in few channels."""
         key = variances.tobytes()
         if self._last is None or self._last[0] != key:
             self._last = key, self.remainder.marginalised(self.products, variances)
@@ -114,27 +115,36 @@ class CandidateProducts:
     squared: FloatArray
 
 
-def _remembered(method: Callable[[Design, _Key], _Value]) -> Callable[[Design, _Key], _Value]:
-    """Remember what a method returns for each argument, also in designs with other variances."""
+class Remembering(Protocol):
+    """An object with what its :func:`remembered` methods have returned."""
+
+    @property
+    def known(self) -> dict[str, dict[Any, Any]]:
+        """Results by method and argument."""
+
+
+def remembered(method: Callable[[_Owner, _Key], _Value]) -> Callable[[_Owner, _Key], _Value]:
+    """Remember what a method returns for each argument."""
 
     @wraps(method)
-    def remembered(design: Design, key: _Key) -> _Value:
-        known: dict[_Key, _Value] = design._known.setdefault(method.__name__, {})  # noqa: SLF001 a method of its class
-        if key not in known:
-            known[key] = method(design, key)
-        return known[key]
+    def looked_up(owner: _Owner, key: _Key) -> _Value:
+        results: dict[_Key, _Value] = owner.known.setdefault(method.__name__, {})
+        if key not in results:
+            results[key] = method(owner, key)
+        return results[key]
 
-    return remembered
+    return looked_up
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Rows of all channels, with ``dimension`` inertial columns, and the ``variances`` of their remainders' blocks."""
+    """Rows of all channels, with ``dimension`` inertial columns, and the ``variances`` of their remainders' blocks.
+    Designs of the same rows share what is ``known`` of these."""
 
     channels: tuple[ChannelRows, ...]
     dimension: int
     variances: tuple[FloatArray, ...]
-    _known: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
+    known: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(channels: Sequence[ChannelRows], dimension: int) -> Design:
@@ -172,7 +182,7 @@ class Design:
         """Scale of each coefficient: its column is as large as the target in one channel, smaller in the others."""
         return np.array([self._scale(term) for term in terms])
 
-    @_remembered
+    @remembered
     def _scale(self, term: Any) -> float:
         places = zip(self.channels, self._places_of_term(term), strict=True)
         squares = np.array([[c.products[-2, -2], c.products[place, place]] for c, place in places])
@@ -180,7 +190,7 @@ class Design:
         scale = float(np.sqrt(np.min(target / column, initial=np.inf)))
         return scale if np.isfinite(scale) and scale > 0.0 else 1.0
 
-    @_remembered
+    @remembered
     def prior_precision(self, candidate: Hypothesis[Any]) -> FloatArray:
         """Prior precision ``(k,)`` of a candidate's coefficients."""
         stds = zip(candidate.prior_std, self.scales(candidate.terms), strict=True)
@@ -270,12 +280,12 @@ class Design:
             indices[:, self.dimension : -1] = np.array(columns).T
         return indices
 
-    @_remembered
+    @remembered
     def _places_of_term(self, term: Any) -> IntArray:
         """Index of a term's column in each channel ``(C,)``, -1 (the zero column) where it is absent."""
         return np.array([channel.place.get(term, -1) for channel in self.channels])
 
-    @_remembered
+    @remembered
     def affected_channels(self, candidate: Hypothesis[Any]) -> list[int]:
         """Channels that a candidate affects."""
         if candidate.payload is not None:
@@ -296,7 +306,7 @@ class Design:
             products_by_channel.append(CandidateProducts(which, crossed, squared))
         return products_by_channel
 
-    @_remembered
+    @remembered
     def _candidate_places(self, candidate: Hypothesis[Any]) -> IntArray:
         """Index of each of a candidate's columns in each channel ``(C, k)``."""
         if candidate.payload is not None:

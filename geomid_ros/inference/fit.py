@@ -90,13 +90,9 @@ class JointFit(Generic[Chosen, Term]):
     def covariance(self) -> FloatArray:
         """Covariance of the parameters ``(D, D)``."""
         blocks, diagonal = self.manifold.jacobian(self.point)
-
-        def mapped(matrix: FloatArray) -> FloatArray:
-            links, rest = np.split(matrix, [self.manifold.inertial.stop])
-            by_link = blocks @ links.reshape(len(blocks), 10, -1)
-            return np.concatenate([by_link.reshape(links.shape), diagonal[:, None] * rest])
-
-        return mapped(mapped(spd.inverse(self.information)).T)
+        transposed = blocks.swapaxes(1, 2)
+        half = self.manifold.by_blocks(spd.inverse(self.information), transposed, diagonal)
+        return self.manifold.by_blocks(half.T, transposed, diagonal)
 
     def covariance_of(self, terms: Sequence[Term]) -> FloatArray:
         """Covariance of some coefficients ``(k, k)``."""

@@ -9,7 +9,7 @@ from typing import Any, Generic
 import numpy as np
 
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
-from geomid_ros.inference.design import Design
+from geomid_ros.inference.design import Design, remembered
 from geomid_ros.inference.fit import JointFit, fit, scattered
 from geomid_ros.inference.prior import Chosen, Hypothesis, Term
 from geomid_ros.inference.selection import Selection
@@ -53,7 +53,7 @@ class Supports(Generic[Chosen, Term]):
         self._sized = scattered(selection.design, found)
         self._covariance = self._sized.covariance
         self._remainder_along = _remainder_along(selection.design, found)
-        self._losses: dict[Chosen, float] = {}
+        self.known: dict[str, dict[Any, Any]] = {}
         self._groups_of_odds: dict[float, set[Hashable]] = {}
         for hypothesis in selection.hypotheses:
             self._groups_of_odds.setdefault(hypothesis.odds, set()).add(hypothesis.group)
@@ -88,16 +88,15 @@ class Supports(Generic[Chosen, Term]):
         of_size = self._of_size(candidate)
         return min(self.loss(candidate), of_size) if of_size > 0.0 else of_size
 
+    @remembered
     def loss(self, candidate: Chosen) -> float:
         """Loss of score without it; each fit uses the better of two remainders, estimated with and without the
         hypothesis."""
-        if candidate not in self._losses:
-            selection, current = self._selection, self._found
-            rest = selection.without(current, candidate)
-            design = rest.with_fitted_remainder(selection.design, selection.design.affected_channels(candidate))
-            both = [fit(design, selection.prior, joint_fit.chosen, joint_fit).score for joint_fit in (rest, current)]
-            self._losses[candidate] = min(rest.score, both[0]) - min(current.score, both[1])
-        return self._losses[candidate]
+        selection, current = self._selection, self._found
+        rest = selection.without(current, candidate)
+        design = rest.with_fitted_remainder(selection.design, selection.design.affected_channels(candidate))
+        both = [fit(design, selection.prior, joint_fit.chosen, joint_fit).score for joint_fit in (rest, current)]
+        return min(rest.score, both[0]) - min(current.score, both[1])
 
     def _rivals(self, rest: JointFit[Chosen, Term], candidate: Chosen) -> list[tuple[Chosen, float]]:
         """Return the rivals in its place with their losses. These are exact for bodies and for rivals as good as this

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterator, Sequence
 from itertools import combinations
-from typing import Generic
+from typing import Any, Generic
 
 import numpy as np
 
-from geomid_ros.inference.design import Design
+from geomid_ros.inference.design import Design, remembered
 from geomid_ros.inference.fit import JointFit, fit
 from geomid_ros.inference.prior import Chosen, Prior, Term
 from geomid_ros.inference.rao_score import ScoreTest, score_tests
@@ -31,10 +31,8 @@ class Selection(Generic[Chosen, Term]):
         self.prior = prior
         self.hypotheses = list(hypotheses)
         self._fits: dict[frozenset[Chosen], JointFit[Chosen, Term]] = {}
-        self._bodies: dict[frozenset[Chosen], list[ScoreTest[Chosen]]] = {}
-        self._ranked: dict[frozenset[Chosen], list[ScoreTest[Chosen]]] = {}
         self._groups = {hypothesis.group: hypothesis for hypothesis in self.hypotheses}
-        self._excluded: dict[Hashable, frozenset[Hashable]] = {}
+        self.known: dict[str, dict[Any, Any]] = {}
         self._contested_at: dict[Chosen, float] = {}  # score at which rivals are tried again
 
     def fit(self, chosen: Collection[Chosen], start: JointFit[Chosen, Term] | None = None) -> JointFit[Chosen, Term]:
@@ -48,12 +46,10 @@ class Selection(Generic[Chosen, Term]):
         """Return the fit without some of its hypotheses."""
         return self.fit([c for c in current.chosen if c not in gone], current)
 
+    @remembered
     def ranked(self, current: JointFit[Chosen, Term]) -> list[ScoreTest[Chosen]]:
         """Rank the hypotheses that could join, the best of each group, by the score test."""
-        key = frozenset(current.chosen)
-        if key not in self._ranked:
-            self._ranked[key] = self._rank(current, self.hypotheses)
-        return self._ranked[key]
+        return self._rank(current, self.hypotheses)
 
     def _rank(self, current: JointFit[Chosen, Term], among: Sequence[Chosen]) -> list[ScoreTest[Chosen]]:
         excluded = set[Hashable]().union(*map(self._excluded_by, current.chosen))
@@ -65,12 +61,10 @@ class Selection(Generic[Chosen, Term]):
                 best[group] = trial
         return sorted(best.values(), key=lambda trial: -trial.gain)
 
+    @remembered
     def _excluded_by(self, chosen: Chosen) -> frozenset[Hashable]:
         """Groups that make no sense together with a chosen hypothesis."""
-        if chosen.group not in self._excluded:
-            excluded = [group for group, hypothesis in self._groups.items() if hypothesis.excludes(chosen)]
-            self._excluded[chosen.group] = frozenset(excluded)
-        return self._excluded[chosen.group]
+        return frozenset(group for group, hypothesis in self._groups.items() if hypothesis.excludes(chosen))
 
     def is_plausible(self, found: JointFit[Chosen, Term]) -> bool:
         """True if no coefficient has an impossible sign or size, and no body has more mass than the robot."""
@@ -139,15 +133,13 @@ class Selection(Generic[Chosen, Term]):
             trials += [t for t in self._promising_bodies(current) if t.gain > least and t.candidate is not instead_of]
         return sorted(trials, key=lambda trial: -trial.gain)
 
+    @remembered
     def _promising_bodies(self, current: JointFit[Chosen, Term]) -> list[ScoreTest[Chosen]]:
         """Return the bodies that are worth an exact fit. At the fit itself the score test underrates them: nearly free
         inertias, which the body made wrong, imitate it. So the test uses the inertias' default prior std."""
-        key = frozenset(current.chosen)
-        if key not in self._bodies:
-            firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_prior_stds)
-            trials = self._rank(firm, [c for c in self.hypotheses if c.payload is not None])
-            self._bodies[key] = [trial for trial in trials if trial.gain > 0.0][:_BODIES]
-        return self._bodies[key]
+        firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_prior_stds)
+        trials = self._rank(firm, [c for c in self.hypotheses if c.payload is not None])
+        return [trial for trial in trials if trial.gain > 0.0][:_BODIES]
 
     def prune(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
         """Drop the hypotheses that are not worth their cost, the worst first, and pairs that support each other."""

@@ -59,7 +59,9 @@ def test_the_logarithm_back_is_the_multiplier_times_the_normal() -> None:
     found = project(ALL, point, rows, targets)
     for row, tangent in zip(rows, found.tangent, strict=True):
         there = ALL.exp(point, tangent)
-        coefficients = np.tensordot(row[ALL.inertial].reshape(-1, 10), pseudo_inertia.COEFFICIENT_BASIS, 1)
+        coefficients = np.tensordot(
+            row[ALL.inertial].reshape(-1, 10), spd.to_matrix(pseudo_inertia.COEFFICIENTS_TO_COORDINATES), 1
+        )
         multiplier = (point.reals - there.reals)[0] / (ALL.scales[0] ** 2 * row[ALL.real][0])
         back = bodies.logarithm(there.pseudo_inertias, point.pseudo_inertias)
         expected = multiplier * spd.congruence(there.pseudo_inertias, coefficients)
