@@ -17,8 +17,6 @@ KEPT_PROMISE = 2.5
 """Most that a hypothesis gains, as a multiple of the promise of the score test: of some 3,000 none gained more. No loss
 is smaller than its second-order estimate by a larger factor, either."""
 _SHORTLIST = 4
-_BODIES = 3
-_EXCHANGES = 4
 _MOST = 40
 _PLAUSIBLE = 0.5  # fraction of a loss that the score test must promise of a rival for it to be tried
 
@@ -33,7 +31,6 @@ class Selection(Generic[Chosen, Term]):
         self._fits: dict[frozenset[Chosen], JointFit[Chosen, Term]] = {}
         self._groups = {hypothesis.group: hypothesis for hypothesis in self.hypotheses}
         self.known: dict[str, dict[Any, Any]] = {}
-        self._contested_at: dict[Chosen, float] = {}  # score at which rivals are tried again
 
     def fit(self, chosen: Collection[Chosen], start: JointFit[Chosen, Term] | None = None) -> JointFit[Chosen, Term]:
         """Return the joint fit of a set; each set is fitted once."""
@@ -91,11 +88,10 @@ class Selection(Generic[Chosen, Term]):
 
     def optimise(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
         """Grow, and exchange hypotheses for others, until nothing changes."""
-        for _ in range(_EXCHANGES):
+        before = np.inf
+        while current.score < before - 1e-6:
             before = current.score
             current = self._exchanged(self.grow(current))
-            if current.score >= before - 1e-6:
-                break
         return current
 
     def within_range(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
@@ -139,7 +135,7 @@ class Selection(Generic[Chosen, Term]):
         inertias, which the body made wrong, imitate it. So the test uses the inertias' default prior std."""
         firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_prior_stds)
         trials = self._rank(firm, [c for c in self.hypotheses if c.payload is not None])
-        return [trial for trial in trials if trial.gain > 0.0][:_BODIES]
+        return [trial for trial in trials if trial.gain > 0.0][:_SHORTLIST]
 
     def prune(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
         """Drop the hypotheses that are not worth their cost, the worst first, and pairs that support each other."""
@@ -222,17 +218,10 @@ class Selection(Generic[Chosen, Term]):
         return self.fit([*kept, *factors], current)
 
     def _exchanged(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
-        """Exchange hypotheses for others where that improves the score. A hypothesis that beat all others is tried
-        again once the search has gained as much as its lead."""
+        """Exchange hypotheses for others where that improves the score."""
         for candidate in current.chosen:
-            if candidate not in current.chosen or current.score > self._contested_at.get(candidate, np.inf):
-                continue
-            others = [joint_fit for joint_fit in self.rivals(current, candidate) if candidate not in joint_fit.chosen]
-            best = min([current, *others], key=lambda joint_fit: joint_fit.score)
-            if best.score < current.score - 1e-3:
-                current = best
-            else:
-                loss = self.without(current, candidate).score - current.score
-                leads = [(1.0 - _PLAUSIBLE) * loss, *(other.score - current.score for other in others)]
-                self._contested_at[candidate] = current.score - min(leads)
+            if candidate in current.chosen:
+                others = [other for other in self.rivals(current, candidate) if candidate not in other.chosen]
+                best = min(others, key=lambda joint_fit: joint_fit.score, default=current)
+                current = best if best.score < current.score - 1e-3 else current
         return current
