@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -296,12 +296,7 @@ def inertial_parameters(link: Element, source: str) -> FloatArray | None:
 def origin_of(element: Element, where: str) -> tuple[FloatArray, FloatArray]:
     """Read position ``(3,)`` [m] and axes ``(3, 3)`` of an ``<origin>``. Raises InputError starting with ``where``."""
     position, angles = (read_numbers(element, "origin", (key,), [0.0] * 3, where) for key in ("xyz", "rpy"))
-    return np.array(position), axes_of(angles)
-
-
-def axes_of(angles: Sequence[float]) -> FloatArray:
-    """Return the rotation matrix ``(3, 3)`` of URDF roll, pitch and yaw [rad]: about fixed axes, x first."""
-    return np.array(pin.rpy.rpyToMatrix(*angles))
+    return np.array(position), np.array(pin.rpy.rpyToMatrix(*angles))
 
 
 def read_numbers(

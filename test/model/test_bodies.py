@@ -11,7 +11,6 @@ import pytest
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.urdf_tree import axes_of
 from geomid_ros.types import FloatArray
 
 from .robots import Reference, random_samples, urdf, with_values
@@ -198,8 +197,3 @@ def test_joints_of_one_chain_carry_each_other(name: str, floating: bool) -> None
     for place, joint in enumerate(own):
         related = {*model.supports[joint], *model.subtrees[joint]} - {joint}
         assert robot.chain(place) == [other for other, each in enumerate(own) if each in related]
-
-
-def test_roll_pitch_and_yaw_are_those_of_the_urdf_reader() -> None:
-    angles = np.random.default_rng(1).uniform(-4.0, 4.0, 3).tolist()
-    np.testing.assert_allclose(axes_of(angles), pin.rpy.rpyToMatrix(*angles), atol=1e-15)
