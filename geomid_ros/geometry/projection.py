@@ -41,16 +41,14 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.polynomial.polynomial import polyval
+from scipy.special import lambertw
 
 from geomid_ros.geometry import compiled, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-NEAR = 3.0 / math.e  # upper end of the polynomial's range, where v is 1
 _DEGREE = 28
 _TAYLOR = 56  # number of terms; they halve from one to the next, and the last is as small as rounding
-_HALLEY_STEPS = 8
 
 
 @cache
@@ -78,27 +76,11 @@ def lambert_w(z: FloatArray) -> FloatArray:
     """Compute the principal real branch of Lambert's W: ``w >= -1 (...)``, ``w exp(w) = z (...)``; -1 for ``z < -1/e``.
 
     As a function of ``v = sqrt(1 + e z) - 1``, W is analytic from the branch point ``v = -1`` on; its nearest
-    singularity is at ``v = -2``. So one polynomial in v gives W to rounding up to v = 1. It needs no exponentials and
-    no data-dependent loop, and takes many arguments at once, here and in the compiled projection. It is zero where z
-    is, and keeps its relative accuracy there. Above v = 1, Halley's iteration computes W (Corless et al., "On the
-    Lambert W function", 1996).
+    singularity is at ``v = -2``. So the compiled projection computes it by one polynomial in v, up to v = 1:
+    :func:`coefficients`.
     """
-    near = np.minimum(z, NEAR)
-    v = np.maximum(math.e * near / (1.0 + np.sqrt(np.maximum(1.0 + math.e * near, 0.0))), -1.0)
-    w = np.maximum(polyval(v, coefficients()) * v, -1.0)
-    far = z > NEAR
-    return np.where(far, _far(np.where(far, z, 1.0)), w) if np.any(far) else w
-
-
-def _far(z: FloatArray) -> FloatArray:
-    logarithm = np.log1p(z)
-    w = logarithm * (1.0 - np.log1p(logarithm) / (2.0 + logarithm))
-    for _ in range(_HALLEY_STEPS):
-        exponential = np.exp(w)
-        excess = w * exponential - z
-        slope = exponential * (w + 1.0)
-        w -= excess / (slope - 0.5 * excess * (w + 2.0) / (w + 1.0))
-    return np.asarray(w)
+    inside = z > -1.0 / math.e
+    return np.where(inside, lambertw(np.where(inside, z, 0.0)).real, -1.0)
 
 
 ROOT = 0
