@@ -36,16 +36,6 @@ def test_a_row_is_the_trace_with_its_coefficient_matrix(row: FloatArray, paramet
     assert trace == pytest.approx(row @ parameters, rel=0, abs=1e7 * ROUNDING)
 
 
-def test_non_negative_density_gives_a_positive_semi_definite_matrix() -> None:
-    rng = np.random.default_rng(1)
-    for count in (1, 2, 3, 4, 20):
-        values = np.linalg.eigvalsh(
-            pseudo_inertia.from_parameters(bodies.parameters_of_cloud(*bodies.cloud(rng, count)))
-        )
-        assert values[0] >= -ROUNDING * values[-1]
-        assert np.sum(values > 1e-10 * values[-1]) == min(count, 4)
-
-
 def test_a_positive_definite_matrix_has_a_non_negative_density() -> None:
     """Four equal point masses realise it: the columns of a square root, turned until their last entries agree."""
     pseudo = bodies.spd(np.random.default_rng(1))
