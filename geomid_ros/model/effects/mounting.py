@@ -27,7 +27,7 @@ class GravityTilt(SituationEffect):
     )
     settled_by = "slow motion of the first joint over its range, with the arm stretched out"
     place = "robot"
-    count = 2
+    count = len(parameters)
     largest = 0.5  # [rad] a base tilted further is mounted so on purpose
     confusable_with_payload = True
     relinearise_beyond = (0.03, 0.03)

@@ -147,7 +147,7 @@ class ImuOffset(SensorEffect):
     parameters = tuple(ParameterForm(name, ("N", "N"), optional=True) for name in ("fx", "fy"))
     settled_by = "standing on level ground, and again turned by half a turn"
     place = "base"
-    count = 2
+    count = len(parameters)
 
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:
         return np.broadcast_to(np.eye(len(axes)), (*motion.position.shape[:-1], len(axes), len(axes)))
