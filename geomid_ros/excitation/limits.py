@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import UNLIMITED_RANGE
+from geomid_ros.model.samples import REST_SPEED, UNLIMITED_RANGE
 from geomid_ros.signals.messages import Message
 from geomid_ros.types import FloatArray
 
@@ -149,7 +149,6 @@ _WINDOW, _STEP = 0.3, 0.01  # [s] window in which a joint must move, and the int
 _INSTANTS = 6  # last states, whose positions give the speed of a joint that publishes none
 _SEEN, _STILL = 0.02, 0.05  # [rad, m] commanded motion to check a joint; fraction of it below which it does not follow
 _SLACK = 1e-6  # rounding of numbers in a file
-_AT_REST = 1e-3  # [rad/s, m/s]
 _OUTSIDE = 0.005  # [rad, m] allowed outside a range, as a joint may rest at its end
 
 
@@ -195,7 +194,7 @@ def check_motion(motion: Trajectory, limits: RobotLimits, source: str) -> None:
         raise InputError(f"{source}: no point has accelerations; expected a motion as 'geomid excite' writes it")
     for index, when in ((0, "begins"), (-1, "ends")):
         fastest = int(np.argmax(np.abs(motion.velocities[index])))
-        if abs(motion.velocities[index, fastest]) > _AT_REST:
+        if abs(motion.velocities[index, fastest]) > REST_SPEED:
             raise InputError(
                 f"{source}: the motion {when} at {motion.velocities[index, fastest]:.3g} rad/s (m/s) of joint "
                 f"'{motion.joints[fastest]}'; it must begin and end at rest"

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from geomid_ros.estimation.estimate import STDS_OF_95
-from geomid_ros.excitation.belief import covariance_of
+from geomid_ros.excitation.belief import ROWS_PER_SECOND, covariance_of
 from geomid_ros.excitation.feasibility import HALVINGS, Feasibility
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.model.dynamics import STEP
@@ -50,7 +50,7 @@ def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionFor
         covariance = covariance_of(precision + information)
         slope = covariance @ weight @ covariance
         value = float(np.sum(weight * covariance))
-        per_row = knowledge.information_of(np.eye(rows.shape[-1])[None], form.duration)[0, 0] / len(rows)
+        per_row = ROWS_PER_SECOND * form.duration / len(rows)
         return np.log(value), -2.0 * per_row / value * (rows @ slope)
 
     return criterion

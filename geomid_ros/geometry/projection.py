@@ -41,16 +41,15 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.polynomial.polynomial import polyval
+from scipy.optimize.elementwise import find_root
+from scipy.special import lambertw
 
 from geomid_ros.geometry import compiled, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-NEAR = 3.0 / math.e  # upper end of the polynomial's range, where v is 1
 _DEGREE = 28
 _TAYLOR = 56  # number of terms; they halve from one to the next, and the last is as small as rounding
-_HALLEY_STEPS = 8
 
 
 @cache
@@ -78,34 +77,17 @@ def lambert_w(z: FloatArray) -> FloatArray:
     """Compute the principal real branch of Lambert's W: ``w >= -1 (...)``, ``w exp(w) = z (...)``; -1 for ``z < -1/e``.
 
     As a function of ``v = sqrt(1 + e z) - 1``, W is analytic from the branch point ``v = -1`` on; its nearest
-    singularity is at ``v = -2``. So one polynomial in v gives W to rounding up to v = 1. It needs no exponentials and
-    no data-dependent loop, and takes many arguments at once, here and in the compiled projection. It is zero where z
-    is, and keeps its relative accuracy there. Above v = 1, Halley's iteration computes W (Corless et al., "On the
-    Lambert W function", 1996).
+    singularity is at ``v = -2``. So the compiled projection computes it by one polynomial in v, up to v = 1:
+    :func:`coefficients`.
     """
-    near = np.minimum(z, NEAR)
-    v = np.maximum(math.e * near / (1.0 + np.sqrt(np.maximum(1.0 + math.e * near, 0.0))), -1.0)
-    w = np.maximum(polyval(v, coefficients()) * v, -1.0)
-    far = z > NEAR
-    return np.where(far, _far(np.where(far, z, 1.0)), w) if np.any(far) else w
-
-
-def _far(z: FloatArray) -> FloatArray:
-    logarithm = np.log1p(z)
-    w = logarithm * (1.0 - np.log1p(logarithm) / (2.0 + logarithm))
-    for _ in range(_HALLEY_STEPS):
-        exponential = np.exp(w)
-        excess = w * exponential - z
-        slope = exponential * (w + 1.0)
-        w -= excess / (slope - 0.5 * excess * (w + 2.0) / (w + 1.0))
-    return np.asarray(w)
+    inside = z > -1.0 / math.e
+    return np.where(inside, lambertw(np.where(inside, z, 0.0)).real, -1.0)
 
 
 ROOT = 0
 NO_ROOT_LOW = 1  # b is above the range of the neighbourhood: the multiplier stops at the lower end
 NO_ROOT_HIGH = 2  # b is below that range: it stops at the upper end
 
-_MAX_STEPS = 100
 _ROUNDING = 1e-14  # relative accuracy of a root; eigenvalues below this fraction of the largest are zeros
 _BRANCH_GAP = 1e-9  # lower bound of 1 + W, because slopes are infinite at the branch point
 _CLOSE = -0.3659  # below this argument W is near the branch point, under -0.9
@@ -185,8 +167,8 @@ def _offsets(manifold: ParameterManifold, point: Point, normals: FloatArray, tar
 
 
 class _Roots:
-    """Roots of C for rows with tangent coordinates ``normals (N, D)`` and constant parts ``offsets (N,)`` of C, by
-    Halley's method inside a shrinking bracket; in numpy.
+    """Roots of C for rows with tangent coordinates ``normals (N, D)`` and constant parts ``offsets (N,)`` of C, in
+    numpy.
 
     Attributes:
         vectors: Eigenvectors of the links' X-bar ``(N, links, 4, 4)``.
@@ -229,14 +211,13 @@ class _Roots:
         return lambert, np.where(arguments < _CLOSE, values * np.exp(-lambert), moved)
 
     def _constraint(self, rows: IntArray, multiplier: FloatArray) -> tuple[FloatArray, ...]:
-        """Compute C(L) of ``rows (n,)`` at multipliers ``(n,)``, its slope, its curvature and the size of its terms."""
+        """Compute C(L) of ``rows (n,)`` at multipliers ``(n,)``, its slope and the size of its terms."""
         lambert, moved = self._lambert(self.values[rows], multiplier)
         steep = moved / np.maximum(1.0 + lambert, _BRANCH_GAP)
         of_reals, offset = multiplier * self.flat[rows], self._offsets[rows]
         return (
             offset - of_reals + np.sum(moved, axis=1),
             -self.flat[rows] - np.sum(moved * steep, axis=1),
-            np.sum(steep**3 * (3.0 + 2.0 * lambert), axis=1),
             np.abs(offset) + np.abs(of_reals) + np.sum(np.abs(moved), axis=1),
         )
 
@@ -253,35 +234,29 @@ class _Roots:
     def _find(self) -> None:
         """Find the multipliers and their status."""
         every = np.arange(len(self.multiplier))
-        total, slope, curvature, size = self._constraint(every, self.multiplier)
+        total, slope, size = self._constraint(every, self.multiplier)
         rising = total > 0.0
         ends = np.where(rising, self._high, self._low)
-        low, high = np.where(rising, 0.0, self._low), np.where(rising, self._high, 0.0)
         searched = ~(self._without_root(total, slope) | (np.abs(total) <= _ROUNDING * size))
-        end_checked = ~np.isfinite(ends)
-        for _ in range(_MAX_STEPS):
-            rate = slope - 0.5 * total * curvature / slope
-            candidate = self.multiplier - total / np.where(rate < 0.5 * slope, rate, slope)
-            searched &= candidate != self.multiplier
-            if not np.any(searched):
-                return
-            outside = searched & ~((low < candidate) & (candidate < high))
-            checked = np.flatnonzero(outside & ~end_checked)
-            excess = self._constraint(checked, ends[checked])[0]
-            beyond = checked[(excess != 0.0) & ((excess > 0.0) == rising[checked])]
-            self.status[beyond] = np.where(rising[beyond], NO_ROOT_HIGH, NO_ROOT_LOW)
-            self.multiplier[beyond] = ends[beyond]
-            searched[beyond] = False
-            end_checked[checked] = True
-            # The midpoint is finite: towards an infinite end C is convex, so Newton steps stay inside.
-            candidate = np.where(outside, 0.5 * (low + high), candidate)
-            rows = np.flatnonzero(searched)
-            self.multiplier[rows] = candidate[rows]
-            total[rows], slope[rows], curvature[rows], size[rows] = self._constraint(rows, candidate[rows])
-            above = total > 0.0
-            low = np.where(searched & above, self.multiplier, low)
-            high = np.where(searched & ~above, self.multiplier, high)
-            searched &= ~(np.abs(total) <= _ROUNDING * size)
+        bounded = np.flatnonzero(searched & np.isfinite(ends))
+        excess = self._constraint(bounded, ends[bounded])[0]
+        beyond = bounded[(excess != 0.0) & ((excess > 0.0) == rising[bounded])]
+        self.status[beyond] = np.where(rising[beyond], NO_ROOT_HIGH, NO_ROOT_LOW)
+        self.multiplier[beyond] = ends[beyond]
+        searched[beyond] = False
+        # Towards an infinite end C is convex: a Newton step from zero ends before the root.
+        short = np.flatnonzero(searched & ~np.isfinite(ends))
+        ends[short] = -total[short] / slope[short]
+        while len(short):
+            ends[short] *= 2.0
+            before_root = (self._constraint(short, ends[short])[0] > 0.0) == rising[short]
+            short = short[before_root & np.isfinite(ends[short])]
+        rows = np.flatnonzero(searched)
+        self.multiplier[rows] = find_root(
+            lambda multiplier, row: self._constraint(row.astype(np.int64), multiplier)[0],
+            (np.zeros(len(rows)), ends[rows]),
+            args=(rows,),
+        ).x
 
 
 def _project(manifold: ParameterManifold, normals: FloatArray, offsets: FloatArray, weights: FloatArray) -> Projection:

@@ -68,25 +68,16 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
 # Row k is the coordinate vector of the pseudo-inertia of the k-th unit parameter vector.
 _PARAMETERS_TO_COORDINATES = spd.to_vector(from_parameters(np.eye(SIZE)))
 COEFFICIENTS_TO_COORDINATES = frozen(np.linalg.inv(_PARAMETERS_TO_COORDINATES).T)
-"""Coordinates ``(10, 10)`` of the matrices of :data:`COEFFICIENT_BASIS`, one per row."""
-COEFFICIENT_BASIS = spd.to_matrix(COEFFICIENTS_TO_COORDINATES)
-"""Matrices ``X_k (10, 4, 4)`` with ``tr((sum a_k X_k) P) = a . parameters`` for every body and row a: (18) and (20)."""
+"""Coordinates ``(10, 10)``, one matrix per row, of the matrices ``X_k`` with ``tr((sum a_k X_k) P) = a . parameters``
+for every body and row a: (18) and (20)."""
 
 
-def change_of_frame(
-    rotation: FloatArray, translation: FloatArray, length_unit: float = 1.0, mass_unit: float = 1.0
-) -> FloatArray:
-    """Return the matrix G ``(4, 4)`` of (13), with ``P_a = G P_b G^T``.
-
-    Args:
-        rotation, translation: ``(3, 3)`` and ``(3,)``, pose of frame b in frame a: ``r_a = R r_b + t`` in b's unit of
-            length.
-        length_unit, mass_unit: Factors from b's units to a's.
-    """
+def change_of_frame(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """Return the matrix G ``(4, 4)`` of (13), with ``P_a = G P_b G^T``; ``rotation (3, 3)`` and ``translation (3,)``
+    are the pose of frame b in frame a: ``r_a = R r_b + t``."""
     factor = np.eye(4)
-    factor[:3, :3] = length_unit * rotation
-    factor[:3, 3] = length_unit * translation
-    return float(np.sqrt(mass_unit)) * factor
+    factor[:3, :3], factor[:3, 3] = rotation, translation
+    return factor
 
 
 def parameter_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:

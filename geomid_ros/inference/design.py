@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from geomid_ros.inference.prior import Hypothesis
 from geomid_ros.inference.remainder import Marginal, Remainder
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
+_Owner = TypeVar("_Owner", bound="Remembering")
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 BLOCKS = 8  # of time; their scatter shows how dependent the rows are
@@ -23,7 +24,6 @@ DEFAULT_FRACTION = 0.3
 """Prior standard deviation of a coefficient, as a fraction of the measurement, where nothing else is known of it."""
 
 
-@dataclass(frozen=True, eq=False)
 class ChannelRows:
     """Whitened rows of a channel: ``columns (N, K + 1)``, the target last, and ``features (N, m)`` of the remainder in
     their ``block (m,)``. The features are ``scale (m,)`` times the given ones: a draw of a block with variance 1 has a
@@ -31,17 +31,8 @@ class ChannelRows:
     if absent. Given other recordings, the features' coefficients have the covariance ``prior_covariance``, see
     :class:`Remainder`, and the mean ``prior_mean (m,)``, which is taken off the target."""
 
-    columns: FloatArray
-    features: FloatArray
-    scale: FloatArray
-    block: IntArray
-    place: Mapping[Any, int]
-    links: IntArray
-    prior_covariance: FloatArray | None = None
-    prior_mean: FloatArray | None = None
-
-    @staticmethod
-    def of(
+    def __init__(
+        self,
         columns: FloatArray,
         features: FloatArray,
         block: IntArray,
@@ -49,20 +40,16 @@ class ChannelRows:
         links: IntArray,
         before: FloatArray | None = None,
         expected: FloatArray | None = None,
-    ) -> ChannelRows:
-        """Create from features of any scale."""
+    ) -> None:
+        """Create from features of any scale, whose coefficients have the covariance ``before (m, m)`` and the mean
+        ``expected (m,)``."""
+        self.columns, self.block, self.place, self.links = columns, block, place, links
         sizes = np.bincount(block, np.sum(features**2, axis=0)) / max(len(columns), 1)
-        scale = 1.0 / np.sqrt(np.maximum(sizes, _LEAST_SIZE))[block]
-        return ChannelRows(
-            columns,
-            features * scale,
-            scale,
-            block,
-            place,
-            links=links,
-            prior_covariance=None if before is None else before / np.outer(scale, scale),
-            prior_mean=None if expected is None else expected / scale,
-        )
+        self.scale = 1.0 / np.sqrt(np.maximum(sizes, _LEAST_SIZE))[block]
+        self.features = features * self.scale
+        self.prior_covariance = None if before is None else before / np.outer(self.scale, self.scale)
+        self.prior_mean = None if expected is None else expected / self.scale
+        self._last: tuple[bytes, Marginal] | None = None
 
     @property
     def count(self) -> int:
@@ -84,6 +71,13 @@ class ChannelRows:
         """Products with the features."""
         crossed = np.pad(self.features.T @ self.columns, ((0, 0), (0, 1)))
         return Remainder(self.features.T @ self.features, crossed, self.block, self.count, self.prior_covariance)
+
+    def marginalised(self, variances: FloatArray) -> Marginal:
+        """Integrate the remainder out; the last products are kept, because most designs differ in few channels."""
+        key = variances.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self.remainder.marginalised(self.products, variances)
+        return self._last[1]
 
     def whitened(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the columns ``(N, n)`` that are ``taken`` and their sum weighted by ``vector (n,)``, both whitened
@@ -121,29 +115,36 @@ class CandidateProducts:
     squared: FloatArray
 
 
-def _remembered(method: Callable[[Design, _Key], _Value]) -> Callable[[Design, _Key], _Value]:
-    """Remember what a method returns for each argument, also in designs with other variances."""
+class Remembering(Protocol):
+    """An object with what its :func:`remembered` methods have returned."""
+
+    @property
+    def known(self) -> dict[str, dict[Any, Any]]:
+        """Results by method and argument."""
+
+
+def remembered(method: Callable[[_Owner, _Key], _Value]) -> Callable[[_Owner, _Key], _Value]:
+    """Remember what a method returns for each argument."""
 
     @wraps(method)
-    def remembered(design: Design, key: _Key) -> _Value:
-        known: dict[_Key, _Value] = design._known.setdefault(method.__name__, {})  # noqa: SLF001 a method of its class
-        if key not in known:
-            known[key] = method(design, key)
-        return known[key]
+    def looked_up(owner: _Owner, key: _Key) -> _Value:
+        results: dict[_Key, _Value] = owner.known.setdefault(method.__name__, {})
+        if key not in results:
+            results[key] = method(owner, key)
+        return results[key]
 
-    return remembered
+    return looked_up
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Rows of all channels, with ``dimension`` inertial columns, and the ``variances`` of their remainders' blocks."""
+    """Rows of all channels, with ``dimension`` inertial columns, and the ``variances`` of their remainders' blocks.
+    Designs of the same rows share what is ``known`` of these."""
 
     channels: tuple[ChannelRows, ...]
     dimension: int
     variances: tuple[FloatArray, ...]
-    _known: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
-    _products: dict[int, tuple[bytes, Marginal]] = field(default_factory=dict, repr=False)
-    _gathered: dict[int, tuple[bytes, FloatArray]] = field(default_factory=dict, repr=False)
+    known: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(channels: Sequence[ChannelRows], dimension: int) -> Design:
@@ -151,17 +152,14 @@ class Design:
         return Design(tuple(channels), dimension, tuple(channel.remainder.default_variances for channel in channels))
 
     def given(self, variances: Sequence[FloatArray]) -> Design:
-        """Return the design with other ``variances`` of the remainders; unchanged channels keep their products."""
-        return replace(self, variances=tuple(variances), _products=dict(self._products), _gathered={})
+        """Return the design with other ``variances`` of the remainders."""
+        return replace(self, variances=tuple(variances))
 
     @cached_property
     def _marginalised(self) -> list[Marginal]:
         """Products of each channel with the remainder integrated out."""
-        for place, (channel, variances) in enumerate(zip(self.channels, self.variances, strict=True)):
-            key = variances.tobytes()
-            if place not in self._products or self._products[place][0] != key:
-                self._products[place] = key, channel.remainder.marginalised(channel.products, variances)
-        return [self._products[place][1] for place in range(len(self.channels))]
+        pairs = zip(self.channels, self.variances, strict=True)
+        return [channel.marginalised(variances) for channel, variances in pairs]
 
     @property
     def cost(self) -> float:
@@ -184,7 +182,7 @@ class Design:
         """Scale of each coefficient: its column is as large as the target in one channel, smaller in the others."""
         return np.array([self._scale(term) for term in terms])
 
-    @_remembered
+    @remembered
     def _scale(self, term: Any) -> float:
         places = zip(self.channels, self._places_of_term(term), strict=True)
         squares = np.array([[c.products[-2, -2], c.products[place, place]] for c, place in places])
@@ -192,7 +190,7 @@ class Design:
         scale = float(np.sqrt(np.min(target / column, initial=np.inf)))
         return scale if np.isfinite(scale) and scale > 0.0 else 1.0
 
-    @_remembered
+    @remembered
     def prior_precision(self, candidate: Hypothesis[Any]) -> FloatArray:
         """Prior precision ``(k,)`` of a candidate's coefficients."""
         stds = zip(candidate.prior_std, self.scales(candidate.terms), strict=True)
@@ -200,19 +198,13 @@ class Design:
 
     def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> ChannelProducts:
         """Products of the inertial columns, those of each link of ``bodies`` again, the terms and the target."""
-        places, gathered = self.places(bodies, terms), []
-        for place, (channel, columns) in enumerate(zip(self.channels, places, strict=True)):
+        places, blocks = self.places(bodies, terms), []
+        for channel, marginal, columns in zip(self.channels, self._marginalised, places, strict=True):
             present = channel.present[columns]
             present[-1] = True
-            gathered.append((np.flatnonzero(present), self._block(place, columns[present])))
-        return ChannelProducts.of(places.shape[1], gathered)
-
-    def _block(self, place: int, columns: IntArray) -> FloatArray:
-        """Products of some columns of a channel; the last ones are kept, as most fits differ in few channels."""
-        key = columns.tobytes()
-        if place not in self._gathered or self._gathered[place][0] != key:
-            self._gathered[place] = key, self._marginalised[place].products[columns[:, None], columns]
-        return self._gathered[place][1]
+            chosen = columns[present]
+            blocks.append((np.flatnonzero(present), marginal.products[chosen[:, None], chosen]))
+        return ChannelProducts.of(places.shape[1], blocks)
 
     def with_fitted_remainder(
         self,
@@ -288,12 +280,12 @@ class Design:
             indices[:, self.dimension : -1] = np.array(columns).T
         return indices
 
-    @_remembered
+    @remembered
     def _places_of_term(self, term: Any) -> IntArray:
         """Index of a term's column in each channel ``(C,)``, -1 (the zero column) where it is absent."""
         return np.array([channel.place.get(term, -1) for channel in self.channels])
 
-    @_remembered
+    @remembered
     def affected_channels(self, candidate: Hypothesis[Any]) -> list[int]:
         """Channels that a candidate affects."""
         if candidate.payload is not None:
@@ -314,7 +306,7 @@ class Design:
             products_by_channel.append(CandidateProducts(which, crossed, squared))
         return products_by_channel
 
-    @_remembered
+    @remembered
     def _candidate_places(self, candidate: Hypothesis[Any]) -> IntArray:
         """Index of each of a candidate's columns in each channel ``(C, k)``."""
         if candidate.payload is not None:

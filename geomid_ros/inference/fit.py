@@ -9,7 +9,7 @@ errors widen the prior instead of passing for an effect, and one wrong link loos
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic
 
@@ -45,7 +45,7 @@ class JointFit(Generic[Chosen, Term]):
         changes: change ``(k,)`` of each candidate's coefficients from their known values, or its body's parameters.
     """
 
-    chosen: tuple[Chosen, ...]
+    chosen: tuple[Chosen, ...] = ()
     terms: tuple[Term, ...]
     point: Point
     manifold: ParameterManifold
@@ -56,7 +56,7 @@ class JointFit(Generic[Chosen, Term]):
     prior_stds: FloatArray
     inflation: float
     separate_prior_stds: FloatArray
-    changes: Mapping[Chosen, FloatArray]
+    changes: Mapping[Chosen, FloatArray] = field(default_factory=dict)
 
     @property
     def information(self) -> FloatArray:
@@ -90,13 +90,9 @@ class JointFit(Generic[Chosen, Term]):
     def covariance(self) -> FloatArray:
         """Covariance of the parameters ``(D, D)``."""
         blocks, diagonal = self.manifold.jacobian(self.point)
-
-        def mapped(matrix: FloatArray) -> FloatArray:
-            links, rest = np.split(matrix, [self.manifold.inertial.stop])
-            by_link = blocks @ links.reshape(len(blocks), 10, -1)
-            return np.concatenate([by_link.reshape(links.shape), diagonal[:, None] * rest])
-
-        return mapped(mapped(spd.inverse(self.information)).T)
+        transposed = blocks.swapaxes(1, 2)
+        half = self.manifold.by_blocks(spd.inverse(self.information), transposed, diagonal)
+        return self.manifold.by_blocks(half.T, transposed, diagonal)
 
     def covariance_of(self, terms: Sequence[Term]) -> FloatArray:
         """Covariance of some coefficients ``(k, k)``."""
@@ -287,7 +283,6 @@ def fit_of_prior(prior: Prior[Term]) -> JointFit[Any, Term]:
     manifold = ParameterManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
     size = manifold.dimension
     return JointFit(
-        chosen=(),
         terms=prior.terms,
         point=manifold.point(np.concatenate([prior.inertias, prior.values])),
         manifold=manifold,
@@ -298,7 +293,6 @@ def fit_of_prior(prior: Prior[Term]) -> JointFit[Any, Term]:
         prior_stds=prior.link_prior_stds,
         inflation=1.0,
         separate_prior_stds=prior.separate_prior_stds,
-        changes={},
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any, Generic
 import numpy as np
 
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
-from geomid_ros.inference.design import Design
+from geomid_ros.inference.design import Design, remembered
 from geomid_ros.inference.fit import JointFit, fit, scattered
 from geomid_ros.inference.prior import Chosen, Hypothesis, Term
 from geomid_ros.inference.selection import Selection
@@ -52,8 +52,7 @@ class Supports(Generic[Chosen, Term]):
         self._found = found
         self._sized = scattered(selection.design, found)
         self._covariance = self._sized.covariance
-        self._remainder_along = _remainder_along(selection.design, found)
-        self._losses: dict[Chosen, float] = {}
+        self.known: dict[str, dict[Any, Any]] = {}
         self._groups_of_odds: dict[float, set[Hashable]] = {}
         for hypothesis in selection.hypotheses:
             self._groups_of_odds.setdefault(hypothesis.odds, set()).add(hypothesis.group)
@@ -88,16 +87,15 @@ class Supports(Generic[Chosen, Term]):
         of_size = self._of_size(candidate)
         return min(self.loss(candidate), of_size) if of_size > 0.0 else of_size
 
+    @remembered
     def loss(self, candidate: Chosen) -> float:
         """Loss of score without it; each fit uses the better of two remainders, estimated with and without the
         hypothesis."""
-        if candidate not in self._losses:
-            selection, current = self._selection, self._found
-            rest = selection.without(current, candidate)
-            design = rest.with_fitted_remainder(selection.design, selection.design.affected_channels(candidate))
-            both = [fit(design, selection.prior, joint_fit.chosen, joint_fit).score for joint_fit in (rest, current)]
-            self._losses[candidate] = min(rest.score, both[0]) - min(current.score, both[1])
-        return self._losses[candidate]
+        selection, current = self._selection, self._found
+        rest = selection.without(current, candidate)
+        design = rest.with_fitted_remainder(selection.design, selection.design.affected_channels(candidate))
+        both = [fit(design, selection.prior, joint_fit.chosen, joint_fit).score for joint_fit in (rest, current)]
+        return min(rest.score, both[0]) - min(current.score, both[1])
 
     def _rivals(self, rest: JointFit[Chosen, Term], candidate: Chosen) -> list[tuple[Chosen, float]]:
         """Return the rivals in its place with their losses. These are exact for bodies and for rivals as good as this
@@ -135,11 +133,11 @@ class Supports(Generic[Chosen, Term]):
         size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
         return size - (price if size > SIGNIFICANT_STDS**2 else max(price, SIGNIFICANT_STDS**2))
 
+    @remembered
     def relative_std(self, candidate: Chosen) -> float:
         """Relative standard deviation of its size due to the remainder."""
-        return _doubt(
-            self._selection.design, self._found, self._remainder_along, candidate, self._found.changes[candidate]
-        )
+        values = self._found.changes[candidate]
+        return relative_std_from_remainder(self._selection.design, self._found, candidate, values)
 
 
 def relative_std_from_remainder(
@@ -150,7 +148,10 @@ def relative_std_from_remainder(
 
     Least squares weight each channel by the power of these columns there; the channels' remainders may have one cause.
     """
-    return _doubt(design, found, _remainder_along(design, found), columns, values)
+    along = np.array([_ALONG**2 * lack.power for lack in found.remainders(design)])
+    powers = np.maximum(design.powers(columns, values) / found.squares, 0.0)  # rounding may leave less
+    error = float(np.sum(np.sqrt(along / found.squares * powers)))
+    return error / max(float(np.sum(powers)), 1e-300)
 
 
 def separability(design: Design, found: JointFit[Any, Any], candidate: Hypothesis[Any]) -> float:
@@ -164,24 +165,6 @@ def separability(design: Design, found: JointFit[Any, Any], candidate: Hypothesi
     squares = np.array([alone[columns] @ block @ alone[columns] for columns, block in pairs])
     information = float(values @ np.linalg.solve(found.covariance[np.ix_(places, places)], values))
     return float(np.clip(information / max(float(np.sum(design.counts / found.squares * squares)), 1e-300), 0.0, 1.0))
-
-
-def _remainder_along(design: Design, joint_fit: JointFit[Any, Any]) -> FloatArray:
-    """Sum of squares ``(C,)`` of the part of each channel's remainder that may lie along any columns."""
-    return np.array([_ALONG**2 * lack.power for lack in joint_fit.remainders(design)])
-
-
-def _doubt(
-    design: Design,
-    joint_fit: JointFit[Any, Any],
-    along: FloatArray,
-    columns: Hypothesis[Any] | int,
-    values: FloatArray,
-) -> float:
-    """See :func:`relative_std_from_remainder`; ``along (C,)``: squares of the remainder that may lie along columns."""
-    powers = np.maximum(design.powers(columns, values) / joint_fit.squares, 0.0)  # rounding may leave less
-    error = float(np.sum(np.sqrt(along / joint_fit.squares * powers)))
-    return error / max(float(np.sum(powers)), 1e-300)
 
 
 def _places(joint_fit: JointFit[Any, Any], candidate: Hypothesis[Any]) -> list[int]:

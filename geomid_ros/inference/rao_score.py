@@ -63,11 +63,6 @@ def _limbs(current: JointFit[Any, Any]) -> IntArray:
     return first
 
 
-def score_test(design: Design, current: JointFit[Chosen, Any], candidate: Chosen) -> ScoreTest[Chosen]:
-    """Compute the score test of one candidate."""
-    return score_tests(design, current, [candidate])[0]
-
-
 class _Test(Generic[Chosen]):
     """Data that the score tests at one fit share: G candidates of k columns, in the C channels that depend on some of D
     parameters and on no others."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterator, Sequence
 from itertools import combinations
-from typing import Generic
+from typing import Any, Generic
 
 import numpy as np
 
-from geomid_ros.inference.design import Design
+from geomid_ros.inference.design import Design, remembered
 from geomid_ros.inference.fit import JointFit, fit
 from geomid_ros.inference.prior import Chosen, Prior, Term
 from geomid_ros.inference.rao_score import ScoreTest, score_tests
@@ -17,8 +17,6 @@ KEPT_PROMISE = 2.5
 """Most that a hypothesis gains, as a multiple of the promise of the score test: of some 3,000 none gained more. No loss
 is smaller than its second-order estimate by a larger factor, either."""
 _SHORTLIST = 4
-_BODIES = 3
-_EXCHANGES = 4
 _MOST = 40
 _PLAUSIBLE = 0.5  # fraction of a loss that the score test must promise of a rival for it to be tried
 
@@ -31,11 +29,8 @@ class Selection(Generic[Chosen, Term]):
         self.prior = prior
         self.hypotheses = list(hypotheses)
         self._fits: dict[frozenset[Chosen], JointFit[Chosen, Term]] = {}
-        self._bodies: dict[frozenset[Chosen], list[ScoreTest[Chosen]]] = {}
-        self._ranked: dict[frozenset[Chosen], list[ScoreTest[Chosen]]] = {}
         self._groups = {hypothesis.group: hypothesis for hypothesis in self.hypotheses}
-        self._excluded: dict[Hashable, frozenset[Hashable]] = {}
-        self._contested_at: dict[Chosen, float] = {}  # score at which rivals are tried again
+        self.known: dict[str, dict[Any, Any]] = {}
 
     def fit(self, chosen: Collection[Chosen], start: JointFit[Chosen, Term] | None = None) -> JointFit[Chosen, Term]:
         """Return the joint fit of a set; each set is fitted once."""
@@ -48,12 +43,10 @@ class Selection(Generic[Chosen, Term]):
         """Return the fit without some of its hypotheses."""
         return self.fit([c for c in current.chosen if c not in gone], current)
 
+    @remembered
     def ranked(self, current: JointFit[Chosen, Term]) -> list[ScoreTest[Chosen]]:
         """Rank the hypotheses that could join, the best of each group, by the score test."""
-        key = frozenset(current.chosen)
-        if key not in self._ranked:
-            self._ranked[key] = self._rank(current, self.hypotheses)
-        return self._ranked[key]
+        return self._rank(current, self.hypotheses)
 
     def _rank(self, current: JointFit[Chosen, Term], among: Sequence[Chosen]) -> list[ScoreTest[Chosen]]:
         excluded = set[Hashable]().union(*map(self._excluded_by, current.chosen))
@@ -65,12 +58,10 @@ class Selection(Generic[Chosen, Term]):
                 best[group] = trial
         return sorted(best.values(), key=lambda trial: -trial.gain)
 
+    @remembered
     def _excluded_by(self, chosen: Chosen) -> frozenset[Hashable]:
         """Groups that make no sense together with a chosen hypothesis."""
-        if chosen.group not in self._excluded:
-            excluded = [group for group, hypothesis in self._groups.items() if hypothesis.excludes(chosen)]
-            self._excluded[chosen.group] = frozenset(excluded)
-        return self._excluded[chosen.group]
+        return frozenset(group for group, hypothesis in self._groups.items() if hypothesis.excludes(chosen))
 
     def is_plausible(self, found: JointFit[Chosen, Term]) -> bool:
         """True if no coefficient has an impossible sign or size, and no body has more mass than the robot."""
@@ -97,11 +88,10 @@ class Selection(Generic[Chosen, Term]):
 
     def optimise(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
         """Grow, and exchange hypotheses for others, until nothing changes."""
-        for _ in range(_EXCHANGES):
+        before = np.inf
+        while current.score < before - 1e-6:
             before = current.score
             current = self._exchanged(self.grow(current))
-            if current.score >= before - 1e-6:
-                break
         return current
 
     def within_range(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
@@ -139,15 +129,13 @@ class Selection(Generic[Chosen, Term]):
             trials += [t for t in self._promising_bodies(current) if t.gain > least and t.candidate is not instead_of]
         return sorted(trials, key=lambda trial: -trial.gain)
 
+    @remembered
     def _promising_bodies(self, current: JointFit[Chosen, Term]) -> list[ScoreTest[Chosen]]:
         """Return the bodies that are worth an exact fit. At the fit itself the score test underrates them: nearly free
         inertias, which the body made wrong, imitate it. So the test uses the inertias' default prior std."""
-        key = frozenset(current.chosen)
-        if key not in self._bodies:
-            firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_prior_stds)
-            trials = self._rank(firm, [c for c in self.hypotheses if c.payload is not None])
-            self._bodies[key] = [trial for trial in trials if trial.gain > 0.0][:_BODIES]
-        return self._bodies[key]
+        firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_prior_stds)
+        trials = self._rank(firm, [c for c in self.hypotheses if c.payload is not None])
+        return [trial for trial in trials if trial.gain > 0.0][:_SHORTLIST]
 
     def prune(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
         """Drop the hypotheses that are not worth their cost, the worst first, and pairs that support each other."""
@@ -230,17 +218,10 @@ class Selection(Generic[Chosen, Term]):
         return self.fit([*kept, *factors], current)
 
     def _exchanged(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
-        """Exchange hypotheses for others where that improves the score. A hypothesis that beat all others is tried
-        again once the search has gained as much as its lead."""
+        """Exchange hypotheses for others where that improves the score."""
         for candidate in current.chosen:
-            if candidate not in current.chosen or current.score > self._contested_at.get(candidate, np.inf):
-                continue
-            others = [joint_fit for joint_fit in self.rivals(current, candidate) if candidate not in joint_fit.chosen]
-            best = min([current, *others], key=lambda joint_fit: joint_fit.score)
-            if best.score < current.score - 1e-3:
-                current = best
-            else:
-                loss = self.without(current, candidate).score - current.score
-                leads = [(1.0 - _PLAUSIBLE) * loss, *(other.score - current.score for other in others)]
-                self._contested_at[candidate] = current.score - min(leads)
+            if candidate in current.chosen:
+                others = [other for other in self.rivals(current, candidate) if candidate not in other.chosen]
+                best = min(others, key=lambda joint_fit: joint_fit.score, default=current)
+                current = best if best.score < current.score - 1e-3 else current
         return current

@@ -5,23 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
-from operator import itemgetter
 from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from geomid_ros.model.effects import (
-    JointEffect,
-    JointMotion,
-    Motion,
-    MotionEffect,
-    OnRobot,
-    PairEffect,
-    Place,
-    joints_of,
-)
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.model.effects import JointEffect, JointMotion, Motion, MotionEffect, OnRobot, Place, joints_of
+from geomid_ros.types import FloatArray
 
 
 class JointFunction(Protocol):
@@ -78,14 +67,13 @@ def affected_joints(place: Place, joints: int) -> tuple[int, ...]:
 @dataclass(frozen=True)
 class Entries:
     """Entries of columns ``(joints, K)`` that can be nonzero: those of the joints that each column reaches, column by
-    column. With effects of two joints, about half of all entries can be. Columns of one pair effect are computed at
-    once; their entries come last, those of all first joints before those of all second joints."""
+    column. With effects of two joints, about half of all entries can be."""
 
     columns: tuple[Column, ...]
     joints: int
 
     def __len__(self) -> int:
-        return self._count
+        return sum(len(joints) for _, joints in self._spans.values())
 
     def __contains__(self, column: Column) -> bool:
         return column in self._spans
@@ -97,14 +85,11 @@ class Entries:
     def at(self, column: Column, joint: int) -> int:
         """Return the index of a column's entry at a joint that the column reaches."""
         entries, joints = self._spans[column]
-        return int(entries.start + entries.step * joints.index(joint))
+        return int(entries.start) + joints.index(joint)
 
     def values(self, motion: Motion) -> FloatArray:
         """Compute the values ``(N, entries)`` for a motion of arrays ``(N, joints)``."""
-        values = [column.values(motion)[:, joints] for column, joints in self._single]
-        for effects, joints in self._pairs:
-            first, second = map(motion.of, joints)
-            values += [part for effect in effects for part in effect.columns(first, second)]
+        values = [column.values(motion)[:, joints] for column, (_, joints) in self._spans.items()]
         return np.concatenate([motion.position[:, :0], *values], axis=1)
 
     @cached_property
@@ -122,46 +107,13 @@ class Entries:
         return Entries(tuple(c for c in self.columns if isinstance(c, JointColumn)), self.joints)
 
     @cached_property
-    def _groups(self) -> tuple[list[Column], Mapping[PairEffect, list[Column]]]:
-        """Columns of pair effects, by effect, after all other columns."""
-        single: list[Column] = []
-        pairs: dict[PairEffect, list[Column]] = {}
-        for column in self.columns:
-            match column:
-                case PlacedColumn(PairEffect() as effect):
-                    pairs.setdefault(effect, []).append(column)
-                case _:
-                    single.append(column)
-        return single, pairs
-
-    @cached_property
     def _spans(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
-        single, pairs = self._groups
         spans, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0
-        for group in (*([column] for column in single), *pairs.values()):
-            reached = [column.affected_joints(self.joints) for column in group]
-            end = begin + sum(map(len, reached))
-            for start, (column, joints) in enumerate(zip(group, reached, strict=True), begin):
-                spans[column] = slice(start, end, len(group)), joints
-            begin = end
+        for column in self.columns:
+            joints = column.affected_joints(self.joints)
+            spans[column] = slice(begin, begin + len(joints)), joints
+            begin += len(joints)
         return spans
-
-    @cached_property
-    def _count(self) -> int:
-        return sum(len(joints) for _, joints in self._spans.values())
-
-    @cached_property
-    def _pairs(self) -> list[tuple[list[PairEffect], IntArray]]:
-        """Pair effects that act at the same pairs of joints, and these joints ``(2, columns)``."""
-        groups = [(effect, [self.of(column)[1] for column in columns]) for effect, columns in self._groups[1].items()]
-        same_joints = groupby(groups, key=itemgetter(1))
-        return [([effect for effect, _ in same], np.array(joints).T) for joints, same in same_joints]
-
-    @cached_property
-    def _single(self) -> list[tuple[Column, slice | list[int]]]:
-        """All other columns, and the joints that each reaches: a full slice if it reaches all."""
-        reached = [(column, [*self.of(column)[1]]) for column in self._groups[0]]
-        return [(column, slice(None) if len(at) == self.joints else at) for column, at in reached]
 
 
 NO_ENTRIES = Entries((), 0)

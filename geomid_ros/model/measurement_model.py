@@ -91,9 +91,13 @@ class MeasurementModel:
         """Legs, if ground forces are computed from their efforts; else None."""
         self._check_sensors()
         joints, base = len(robot.joints) if self._efforts_usable else 0, len(AXES) if self.legs else 0
-        self.layout = ChannelLayout.of(joints, self._row_sensors, base)
+        every, summed = list(range(len(robot.bodies))), self.external[:1] if robot.floating_base else []
+        # Sensors with rows, and the bodies that load each. The first external sensor stands for the sum of all.
+        self._loaded = [(s, robot.subtree(s.frame)) for s in self.mounted] + [(s, every) for s in summed]
+        with_rows = [sensor for sensor, _ in self._loaded]
+        self.layout = ChannelLayout.of(joints, with_rows, base)
         self.places = EffectPlaces(
-            robot=robot, links=self.body_names, sensors=self._row_sensors, layout=self.layout, commanded=commanded
+            robot=robot, links=self.body_names, sensors=with_rows, layout=self.layout, commanded=commanded
         )
         self.coefficients = self.places.coefficients(effects, local_effects, candidates, link_side_joints)
         self._number()
@@ -140,7 +144,7 @@ class MeasurementModel:
                 f"a wrench sensor is mounted at link '{sensor.frame}', where the robot's bodies are not divided; add "
                 "this link to `cuts`"
             )
-        if not self._loaded_bodies(sensor):
+        if not self.robot.subtree(sensor.frame):
             raise InputError(
                 f"the wrench sensor mounted at link '{sensor.frame}' has no mass distal to it: neither this link nor "
                 "its subtree has a mass in the URDF"
@@ -276,16 +280,6 @@ class MeasurementModel:
         for axis in AXES[: len(layout.base)]:
             yield Channel.of_wrench(BASE, axis, np.arange(self.dimension))
 
-    @property
-    def _row_sensors(self) -> list[WrenchSensor]:
-        """Sensors with rows: every mounted one; for a floating base also the first external one, for their sum."""
-        return self.mounted + (self.external[:1] if self.robot.floating_base else [])
-
-    def _loaded_bodies(self, sensor: WrenchSensor) -> list[int]:
-        if sensor.role == "mounted":
-            return self.robot.subtree(sensor.frame)
-        return list(range(len(self.robot.bodies)))
-
     def rows(self, samples: Samples) -> Rows:
         """Compute the rows of N samples."""
         coefficients = np.empty((len(samples), len(self.channels), self.dimension))
@@ -334,11 +328,6 @@ class MeasurementModel:
             channels, axes = self.layout.wrenches[sensor.topic], sensor.axis_indices
             wrench = self._total_external(measured) if sensor.role == "external" else measured[sensor]
             bodies[channels], targets[channels] = self.robot.wrench_rows(loaded, sensor.frame)[axes], wrench[axes]
-
-    @cached_property
-    def _loaded(self) -> list[tuple[WrenchSensor, list[int]]]:
-        """Sensors with rows, and the bodies that load each."""
-        return [(sensor, self._loaded_bodies(sensor)) for sensor in self._row_sensors]
 
     def _total_external(self, measured: Mapping[WrenchSensor, FloatArray]) -> FloatArray:
         """Sum the external wrenches in the frame of the first sensor, ``(6,)``."""

@@ -317,13 +317,10 @@ class Robot:
     @property
     def position_limits(self) -> FloatArray:
         """Position limits (low, high) in the URDF ``(joints, 2)`` [rad, m]; infinite where there is none."""
-        model = self._model
-        limits = np.full((len(self.joints), 2), (-np.inf, np.inf))
-        for limit, joint in zip(limits, self.joints, strict=True):
-            bounds = model.lowerPositionLimit[joint.q], model.upperPositionLimit[joint.q]
-            if not joint.continuous and bounds[0] < bounds[1]:
-                limit[:] = bounds
-        return limits
+        q = [joint.q for joint in self.joints]
+        limits = np.column_stack([self._model.lowerPositionLimit[q], self._model.upperPositionLimit[q]])
+        endless = np.array([joint.continuous for joint in self.joints]) | (limits[:, 0] >= limits[:, 1])
+        return np.where(endless[:, None], (-np.inf, np.inf), limits)
 
     def is_divided_at(self, link: str) -> bool:
         """True if a body begins at ``link``: it moves relative to its parent, or it is one of the cuts."""
@@ -336,13 +333,9 @@ class Robot:
 
     def chain(self, joint: int) -> list[int]:
         """Return the indices of all other joints proximal or distal to ``joint`` on its chain."""
-        proximal = {j.name: {above.name for above in self.tree.joints_above(j.child)} for j in self.tree.joints}
-        name = self.joint_names[joint]
-        return [
-            index
-            for index, other in enumerate(self.joint_names)
-            if other != name and (other in proximal[name] or name in proximal[other])
-        ]
+        model, indices = self._model, [self._model.getJointId(name) for name in self.joint_names]
+        related = {*model.supports[indices[joint]], *model.subtrees[indices[joint]]}
+        return [other for other, index in enumerate(indices) if index in related and other != joint]
 
     def configuration(self, samples: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return pinocchio's q ``(N, nq)``, v and a ``(N, nv)`` of samples."""
@@ -405,11 +398,10 @@ class Robot:
     def supports(self) -> BoolArray:
         """True where a joint, or one of its mimic joints, moves a body ``(joints, bodies)``."""
         carries = np.zeros((len(self.joints), len(self.bodies)), dtype=np.bool_)
-        moving = {joint.name: index for index, joint in enumerate(self.joints)}
-        moving |= {follower.joint.name: follower.master for follower in self.mimic_joints}
-        for joint in self.tree.joints:
-            if joint.name in moving:
-                carries[moving[joint.name], self.subtree(joint.child)] = True
+        moving = dict(zip(self.joint_names, range(len(self.joints)), strict=True))
+        for name, row in (moving | {follower.joint.name: follower.master for follower in self.mimic_joints}).items():
+            joint = self._model.getJointId(name)
+            carries[row] |= [joint in self._model.supports[body.joint] for body in self.bodies]
         return carries
 
     def body_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray, body: int) -> FloatArray:

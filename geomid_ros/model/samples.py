@@ -63,12 +63,11 @@ class Samples:
     commands: FloatArray = None  # type: ignore[assignment]  # likewise
 
     def __post_init__(self) -> None:
-        if self.effects is None:
-            object.__setattr__(self, "effects", np.zeros((len(self.position), 0)))
-        if self.standing is None:
-            object.__setattr__(self, "standing", np.zeros((len(self.position), 0), dtype=np.bool_))
-        if self.commands is None:
-            object.__setattr__(self, "commands", np.zeros((len(self.position), 4, 0)))
+        nothing = np.zeros((len(self.position), 0))
+        defaults = {"effects": nothing, "standing": nothing > 0.0, "commands": np.zeros((len(nothing), 4, 0))}
+        for name, default in defaults.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, default)
         if self.effects.shape[1] != len(self.entries):
             raise ValueError(f"{self.effects.shape[1]} entries of effects' columns, expected {len(self.entries)}")
         for name, values in self.arrays.items():

@@ -7,30 +7,11 @@ import pinocchio as pin
 
 from geomid_ros.types import FloatArray
 
-_SMALL_ANGLE = 0.1
-_OPPOSITE = 1e-9  # distance of a cosine from -1
-
 
 def relative_log(reference: FloatArray, poses: FloatArray) -> FloatArray:
     """Compute ``log(reference^-1 pose)`` of ``poses (N, 7)``: twists ``(N, 6)`` as (linear, angular)."""
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 of floating bases alone
-
-    inverse = Rotation.from_quat(reference[3:]).inv()
-    angular = (inverse * Rotation.from_quat(poses[:, 3:])).as_rotvec()
-    displacement = inverse.apply(poses[:, :3] - reference[:3])
-    across = np.cross(angular, displacement)
-    coefficient = _second_coefficient(np.linalg.norm(angular, axis=1))
-    linear = displacement - 0.5 * across + coefficient[:, None] * np.cross(angular, across)
-    return np.hstack([linear, angular])
-
-
-def _second_coefficient(angle: FloatArray) -> FloatArray:
-    """Compute ``(1 - (angle/2) cot(angle/2)) / angle^2 (N,)``, the coefficient of the squared bracket in the log."""
-    square = angle**2
-    series = 1.0 / 12.0 + square / 720.0 + square**2 / 30240.0 + square**3 / 1209600.0
-    clipped = np.maximum(angle, _SMALL_ANGLE)
-    exact = (1.0 - 0.5 * clipped / np.tan(0.5 * clipped)) / clipped**2
-    return np.where(angle < _SMALL_ANGLE, series, exact)
+    inverse = pin.XYZQUATToSE3(reference).inverse()
+    return np.array([pin.log6(inverse * pin.XYZQUATToSE3(pose)).vector for pose in poses])
 
 
 def compose_exp(reference: FloatArray, twist: FloatArray) -> FloatArray:
@@ -55,11 +36,7 @@ def rotate_inverse(quaternions: FloatArray, vector: FloatArray) -> FloatArray:
 def shortest_rotation(vectors: FloatArray, onto: FloatArray) -> FloatArray:
     """Return unit quaternions ``(N, 4)``, xyzw, of the smallest rotations from unit ``vectors (N, 3)`` to the unit
     vector ``onto (3,)``; if they are opposite, about any perpendicular axis."""
-    axis, cosine = np.cross(vectors, onto), vectors @ onto
-    opposite = cosine < -1.0 + _OPPOSITE
-    axis[opposite], cosine[opposite] = np.cross(onto, np.eye(3)[np.argmin(np.abs(onto))]), -1.0
-    quaternions = np.concatenate([axis, 1.0 + cosine[:, None]], axis=1)
-    return np.asarray(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
+    return np.array([pin.Quaternion.FromTwoVectors(vector, onto).coeffs() for vector in vectors]).reshape(-1, 4)
 
 
 def quaternion(axes: FloatArray) -> FloatArray:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder, tostring
 
 import numpy as np
+import pinocchio as pin
 from defusedxml.common import DefusedXmlException, DTDForbidden
 from defusedxml.ElementTree import DefusedXMLParser, ParseError
 
@@ -295,19 +296,7 @@ def inertial_parameters(link: Element, source: str) -> FloatArray | None:
 def origin_of(element: Element, where: str) -> tuple[FloatArray, FloatArray]:
     """Read position ``(3,)`` [m] and axes ``(3, 3)`` of an ``<origin>``. Raises InputError starting with ``where``."""
     position, angles = (read_numbers(element, "origin", (key,), [0.0] * 3, where) for key in ("xyz", "rpy"))
-    return np.array(position), axes_of(angles)
-
-
-def axes_of(angles: Sequence[float]) -> FloatArray:
-    """Return the rotation matrix ``(3, 3)`` of URDF roll, pitch and yaw [rad]: about fixed axes, x first."""
-    (r, p, y), (s_r, s_p, s_y) = np.cos(angles), np.sin(angles)
-    return np.array(
-        [
-            [y * p, y * s_p * s_r - s_y * r, y * s_p * r + s_y * s_r],
-            [s_y * p, s_y * s_p * s_r + y * r, s_y * s_p * r - y * s_r],
-            [-s_p, p * s_r, p * r],
-        ]
-    )
+    return np.array(position), np.array(pin.rpy.rpyToMatrix(*angles))
 
 
 def read_numbers(

@@ -154,13 +154,14 @@ def _inertia(link: Element) -> LinkInertia | None:
 
 
 def _placement(origin: Element) -> tuple[FloatArray, FloatArray]:
-    (c_x, c_y, c_z), (s_x, s_y, s_z) = (function(_vector(origin, "rpy")) for function in (np.cos, np.sin))
+    position, angles = (np.array(_numbers(origin, key, "0 0 0", 3)) for key in ("xyz", "rpy"))
+    (c_x, c_y, c_z), (s_x, s_y, s_z) = np.cos(angles), np.sin(angles)
     roll, pitch, yaw = (
         np.array([[1.0, 0.0, 0.0], [0.0, c_x, -s_x], [0.0, s_x, c_x]]),
         np.array([[c_y, 0.0, s_y], [0.0, 1.0, 0.0], [-s_y, 0.0, c_y]]),
         np.array([[c_z, -s_z, 0.0], [s_z, c_z, 0.0], [0.0, 0.0, 1.0]]),
     )
-    return _vector(origin, "xyz"), yaw @ pitch @ roll
+    return position, yaw @ pitch @ roll
 
 
 def _limits(joint: Element) -> UrdfLimits:
@@ -207,26 +208,19 @@ def _attribute(element: Element, key: str, default: str | None = None) -> str:
     return value
 
 
-def _vector(element: Element, key: str) -> FloatArray:
-    text = element.get(key, "0 0 0")
-    values = [_finite(word, element.tag, key) for word in text.split()]
-    if len(values) != 3:
-        raise InputError(f"<{element.tag} {key}='{text}'> has to hold three numbers.")
-    return np.array(values)
+def _numbers(element: Element, key: str, default: str | None = None, count: int = 1) -> list[float]:
+    text = _attribute(element, key, default)
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise InputError(f"<{element.tag} {key}='{text}'> has to hold {count} finite number{'s' * (count > 1)}.")
+    return values
 
 
 def _number(element: Element, key: str, default: str | None = None) -> float:
-    return _finite(_attribute(element, key, default), element.tag, key)
-
-
-def _finite(text: str, tag: str, key: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"<{tag} {key}='{text}'> is not a finite number.")
-    return value
+    return _numbers(element, key, default)[0]
 
 
 def perturbed(nominal: LinkInertia, size: float, rng: np.random.Generator) -> LinkInertia:

@@ -33,7 +33,7 @@ def exciting_motion(
     times: FloatArray, joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.random.Generator
 ) -> SetPoints:
     """Random motion of ``joints`` at ``times (T,)`` [s], each joint as large as its limits and ``options`` allow."""
-    shapes = _faded(_fade(times), _SHAPES[options.motion](times, len(joints), options, rng))
+    shapes = _faded(times, _SHAPES[options.motion](times, len(joints), options, rng))
     excursion = options.motion_range * np.array([joint.half_range for joint in joints])
     speed = options.motion_speed * np.array([joint.velocity for joint in joints])
     scale = np.minimum(excursion / np.abs(shapes.position).max(0), speed / np.abs(shapes.velocity).max(0))
@@ -75,12 +75,8 @@ def _chirp(times: FloatArray, joints: int, options: SimulationOptions, rng: np.r
     column = times[:, None]
     angle = rng.uniform(0.0, 2.0 * np.pi, joints) + 2.0 * np.pi * column * (start + 0.5 * rise * column)
     omega = 2.0 * np.pi * (start + rise * column)
-    return _modulated(angle, omega, 2.0 * np.pi * rise)
-
-
-def _modulated(angle: FloatArray, omega: FloatArray, rise: FloatArray) -> SetPoints:
-    """Sine ``sin(angle) / omega`` of constant speed amplitude, and derivatives; omega grows by ``rise`` a second."""
-    sine, cosine, ratio = np.sin(angle), np.cos(angle), rise / omega**2
+    # sin(angle) / omega, of constant speed amplitude, and its derivatives
+    sine, cosine, ratio = np.sin(angle), np.cos(angle), 2.0 * np.pi * rise / omega**2
     return SetPoints(
         sine / omega,
         cosine - ratio * sine,
@@ -122,23 +118,16 @@ def _still(samples: int, joints: int) -> SetPoints:
     return SetPoints(*(np.zeros((samples, joints)) for _ in range(3)))
 
 
-def _fade(times: FloatArray) -> SetPoints:
-    """Smooth step ``6 x^5 - 15 x^4 + 10 x^3`` of ``x = t / FADE_IN``, ``(T, 1)``, and its derivatives."""
+def _faded(times: FloatArray, motion: SetPoints) -> SetPoints:
+    """Multiply a motion by the smooth step ``6 x^5 - 15 x^4 + 10 x^3`` of ``x = t / FADE_IN``."""
     x = np.minimum(times[:, None] / FADE_IN, 1.0)
+    fade = x**3 * (6.0 * x**2 - 15.0 * x + 10.0)
+    rate = 30.0 * x**2 * (x - 1.0) ** 2 / FADE_IN
+    bend = 60.0 * x * (2.0 * x**2 - 3.0 * x + 1.0) / FADE_IN**2
     return SetPoints(
-        x**3 * (6.0 * x**2 - 15.0 * x + 10.0),
-        30.0 * x**2 * (x - 1.0) ** 2 / FADE_IN,
-        60.0 * x * (2.0 * x**2 - 3.0 * x + 1.0) / FADE_IN**2,
-    )
-
-
-def _faded(fade: SetPoints, motion: SetPoints) -> SetPoints:
-    return SetPoints(
-        fade.position * motion.position,
-        fade.velocity * motion.position + fade.position * motion.velocity,
-        fade.acceleration * motion.position
-        + 2.0 * fade.velocity * motion.velocity
-        + fade.position * motion.acceleration,
+        fade * motion.position,
+        rate * motion.position + fade * motion.velocity,
+        bend * motion.position + 2.0 * rate * motion.velocity + fade * motion.acceleration,
     )
 
 

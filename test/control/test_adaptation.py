@@ -73,7 +73,8 @@ def test_it_depends_neither_on_frames_nor_on_units() -> None:
     rng = np.random.default_rng(1)
     parameters, rows, residuals = body(rng), rng.normal(size=(5, 10)), rng.normal(size=5)
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    change = pseudo_inertia.change_of_frame(rotation, rng.normal(size=3), length_unit=1e3, mass_unit=2.2)
+    units = np.sqrt(2.2) * np.diag([1e3, 1e3, 1e3, 1.0])  # of mass and length
+    change = units @ pseudo_inertia.change_of_frame(rotation, rng.normal(size=3))
 
     def moved(pseudo: FloatArray) -> FloatArray:
         return pseudo_inertia.to_parameters(spd.congruence(change, pseudo))

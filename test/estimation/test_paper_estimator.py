@@ -42,8 +42,12 @@ def in_other_frames(problem: Problem, seed: int) -> tuple[Problem, FloatArray]:
     rng = np.random.default_rng(seed)
     linear = np.zeros((problem.manifold.dimension,) * 2)
     for k in range(problem.manifold.links):
-        units = 10.0 ** rng.uniform(-1.0, 1.0, size=2)
-        factor = pseudo_inertia.change_of_frame(bodies.rotation(rng), 0.3 * rng.normal(size=3), *units)
+        length, root = 10.0 ** rng.uniform(-1.0, 1.0, size=2)  # of the unit of mass
+        factor = (
+            root
+            * np.diag([length, length, length, 1.0])
+            @ pseudo_inertia.change_of_frame(bodies.rotation(rng), 0.3 * rng.normal(size=3))
+        )
         images = spd.congruence(factor, pseudo_inertia.from_parameters(np.eye(10)))
         linear[problem.manifold.link(k), problem.manifold.link(k)] = pseudo_inertia.to_parameters(images).T
     there = [problem.manifold.point(linear @ point.parameters) for point in (problem.prior, problem.truth)]

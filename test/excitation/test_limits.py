@@ -28,6 +28,7 @@ def test_given_limits_win_and_others_follow_and_are_said() -> None:
     assert found.acceleration[0] == 3.0
     assert np.allclose(found.jerk, [30.0, 7.0, 10.0 * found.acceleration[2]])
     assert found.position[1].tolist() == [-0.5, 2.5]
+    assert np.all(np.isinf(limits(text=urdf('<limit effort="60" velocity="2"/>')).position[2])), "no range, no limit"
     said = " ".join(found.notes)
     assert "j2 " in found.notes[0]
     assert "j1 " not in found.notes[0]

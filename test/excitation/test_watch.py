@@ -24,10 +24,16 @@ TOLERANCE, SILENCE = 0.1, 0.04
 FAULT = 1.6  # [s] after the start
 
 
+def monitor(
+    folder: Path, motion: Motion = MOTION, limits: RobotLimits = LIMITS, tolerance: float = TOLERANCE
+) -> MotionMonitor:
+    trajectory = read_trajectory(motion.write(folder / "trajectory.yaml", 80))
+    return MotionMonitor(trajectory, limits, tolerance=tolerance, silence=SILENCE, begin=BEGIN)
+
+
 @pytest.fixture
 def watch(tmp_path: Path) -> MotionMonitor:
-    trajectory = read_trajectory(MOTION.write(tmp_path / "trajectory.yaml", 80))
-    return MotionMonitor(trajectory, LIMITS, tolerance=TOLERANCE, silence=SILENCE, begin=BEGIN)
+    return monitor(tmp_path)
 
 
 def state(
@@ -90,9 +96,7 @@ def test_a_joint_that_leaves_its_range_stops_it_at_once(sign: float, tmp_path: P
     """The motion itself reaches 1.2 (or -0.8), the range ends at 1.0 (or -0.6)."""
     motion = bump(JOINTS, 4.0, amplitude=sign)
     narrow = RobotLimits(JOINTS, np.array([-0.6, -0.6]), np.array([1.0, 1.3]), LIMITS.speeds, LIMITS.efforts)
-    trajectory = read_trajectory(motion.write(tmp_path / "trajectory.yaml", 80))
-    watch = MotionMonitor(trajectory, narrow, tolerance=TOLERANCE, silence=SILENCE, begin=BEGIN)
-    time, why = stopped(watch, lambda time: state(time, motion))
+    time, why = stopped(monitor(tmp_path, motion, narrow), lambda time: state(time, motion))
     assert 0.805 < sign * (motion.rows(np.array([time]))[0, 0] - 0.2) < 0.82
     assert why.startswith("joint 'a' is at")
     assert why.endswith("outside its range -0.6 to 1")
@@ -102,9 +106,7 @@ def test_a_joint_that_leaves_its_range_stops_it_at_once(sign: float, tmp_path: P
 def test_a_dead_controller_is_told_within_half_a_second(slow: float, tmp_path: Path) -> None:
     """Of a motion that is under way, however far its joints may be from where they should."""
     motion = bump(JOINTS, slow * 4.0, amplitude=1.0)
-    trajectory = read_trajectory(motion.write(tmp_path / "trajectory.yaml", 80))
-    watch = MotionMonitor(trajectory, LIMITS, tolerance=9.0, silence=SILENCE, begin=BEGIN)
-    dead = 0.3 * motion.duration
+    watch, dead = monitor(tmp_path, motion, tolerance=9.0), 0.3 * motion.duration
     for time in np.arange(PERIOD, motion.duration, PERIOD).tolist():
         still = state(min(time, dead), motion)
         stuck = JointState(BEGIN + round(1e9 * time), still.position, np.zeros(2), still.effort)
@@ -116,14 +118,11 @@ def test_a_dead_controller_is_told_within_half_a_second(slow: float, tmp_path: P
 
 
 def test_one_joint_that_sticks_is_not_a_dead_controller(tmp_path: Path) -> None:
-    trajectory = read_trajectory(MOTION.write(tmp_path / "trajectory.yaml", 80))
-    watch = MotionMonitor(trajectory, LIMITS, tolerance=9.0, silence=SILENCE, begin=BEGIN)
-
     def states(time: float) -> JointState:
         now = state(time)
         return JointState(now.stamp, np.array([now.position[0], 0.2]), now.velocity, now.effort)
 
-    assert stopped(watch, states) == (np.inf, "")
+    assert stopped(monitor(tmp_path, tolerance=9.0), states) == (np.inf, "")
 
 
 def silent_after(watch: MotionMonitor, look: Callable[[float], JointState | None], seconds: float = LOOK) -> float:

@@ -70,5 +70,5 @@ class Recording:
             rows = np.column_stack([self.coefficients[:, channel], *own, targets[:, channel]])
             place = {term: len(LINK) + index for index, term in enumerate(terms)}
             nothing = np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp)
-            channels.append(ChannelRows.of(rows, *nothing, place, np.arange(len(LINK))))
+            channels.append(ChannelRows(rows, *nothing, place, np.arange(len(LINK))))
         return Design.of(channels, len(LINK))

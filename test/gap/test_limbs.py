@@ -26,7 +26,7 @@ def channel(rng: np.random.Generator, link: int) -> ChannelRows:
     columns[:, -1] += columns[:, :10] @ LINK + 0.3 * columns[:, 10]
     places, links = {term: 10 + place for place, term in enumerate(terms)}, np.full(20, -1)
     links[10 * link : 10 * link + 10] = np.arange(10)
-    return ChannelRows.of(columns, np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp), places, links)
+    return ChannelRows(columns, np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp), places, links)
 
 
 def whole(current: JointFit) -> IntArray:

@@ -19,7 +19,7 @@ from geomid_ros.inference import prior as before
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
 from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
-from geomid_ros.inference.rao_score import score_test
+from geomid_ros.inference.rao_score import ScoreTest, score_tests
 from geomid_ros.model.effects import AtSensor
 from geomid_ros.model.effects.sensor_errors import WrenchOffset
 from geomid_ros.types import FloatArray
@@ -33,6 +33,11 @@ NAMES = (VISCOUS, OFFSET, ELSEWHERE)
 MODEL = model()
 TERM = VISCOUS.terms[0]
 STEP = 1e-5
+
+
+def score_test(design: Design, current: JointFit[Candidate, EffectTerm], candidate: Candidate) -> ScoreTest[Candidate]:
+    (trial,) = score_tests(design, current, [candidate])
+    return trial
 
 
 def designed(seed: int, value: float = 0.3, link: FloatArray = LINK) -> Design:
@@ -112,7 +117,7 @@ def test_a_row_that_a_name_explains_exactly_does_not_lose_itself_in_the_remainde
     nothing: the two in turn, each larger by the other, stay within rounding."""
     whole = designed(3)
     first, other = whole.channels
-    few = ChannelRows.of(
+    few = ChannelRows(
         first.columns[:1], np.ones((1, 1)), np.zeros(1, dtype=np.intp), first.place, first.links, 1e-3 * np.eye(1)
     )
     design, found = Design.of((few, other), whole.dimension), None

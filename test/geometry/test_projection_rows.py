@@ -96,8 +96,9 @@ def test_the_distance_to_a_hyperplane_has_no_frame_and_no_units() -> None:
     rng = np.random.default_rng(1)
     linear = np.diag(np.concatenate([np.ones(10 * ALL.links), 10.0 ** rng.uniform(-2.0, 2.0, size=4)]))
     for k in range(ALL.links):
-        units = 10.0 ** rng.uniform(-1.0, 1.0, size=2)
-        factor = pseudo_inertia.change_of_frame(bodies.rotation(rng), 0.3 * rng.normal(size=3), *units)
+        length, mass = 10.0 ** rng.uniform(-1.0, 1.0, size=2)
+        factor = pseudo_inertia.change_of_frame(bodies.rotation(rng), 0.3 * rng.normal(size=3))
+        factor = np.sqrt(mass) * np.diag([*np.full(3, length), 1.0]) @ factor
         images = spd.congruence(factor, pseudo_inertia.from_parameters(np.eye(10)))
         linear[ALL.link(k), ALL.link(k)] = pseudo_inertia.to_parameters(images).T
     moved = ParameterManifold(ALL.links, ALL.positives, ALL.scales * np.diag(linear)[ALL.real])

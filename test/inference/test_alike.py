@@ -40,7 +40,7 @@ def design(links: FloatArray, legs: tuple[str, ...]) -> Design:
         own = np.column_stack([rows.coefficients[:, channel], rows.targets[:, channel]])
         own = own[: len(own) if name[:2] in legs else 0]
         channels.append(
-            ChannelRows.of(own, np.zeros((len(own), 0)), np.zeros(0, dtype=np.intp), {}, np.arange(own.shape[1] - 1))
+            ChannelRows(own, np.zeros((len(own), 0)), np.zeros(0, dtype=np.intp), {}, np.arange(own.shape[1] - 1))
         )
     return Design.of(channels, rows.coefficients.shape[2])
 

@@ -1,7 +1,6 @@
 """A remainder that is integrated out, against the Gaussian likelihood of the rows themselves."""
 
 import weakref
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,13 +27,13 @@ def rows(
     ``variances`` in units of the noise's, and of what was unsure ``before``."""
     rng = np.random.default_rng(seed)
     columns, features = rng.standard_normal((ROWS, COLUMNS)), rng.standard_normal((ROWS, len(BLOCK)))
-    made = ChannelRows.of(np.column_stack([columns, np.zeros(ROWS)]), features, BLOCK, {}, np.arange(COLUMNS))
+    made = ChannelRows(np.column_stack([columns, np.zeros(ROWS)]), features, BLOCK, {}, np.arange(COLUMNS))
     drawn = made.features @ (np.sqrt(variances[BLOCK]) * rng.standard_normal(len(BLOCK)))
     if before is not None:
         values, vectors = np.linalg.eigh(before)
         drawn += features @ (vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(BLOCK))))
     target = columns @ [1.0, 2.0, 3.0] + noise * (drawn + rng.standard_normal(ROWS))
-    return ChannelRows.of(np.column_stack([columns, target]), features, BLOCK, {}, np.arange(COLUMNS), before)
+    return ChannelRows(np.column_stack([columns, target]), features, BLOCK, {}, np.arange(COLUMNS), before)
 
 
 def covariance(own: ChannelRows, variances: FloatArray) -> FloatArray:
@@ -137,7 +136,7 @@ def test_beside_other_recordings_it_changes_as_much_as_usual_and_by_a_share_of_w
 
 def test_of_what_hardly_occurs_features_are_not_made_large() -> None:
     own = rows(7)
-    rare = ChannelRows.of(own.columns, own.features * np.where(BLOCK == 1, 1e-9, 1.0), BLOCK, {}, own.links)
+    rare = ChannelRows(own.columns, own.features * np.where(BLOCK == 1, 1e-9, 1.0), BLOCK, {}, own.links)
     assert np.max(rare.features[:, BLOCK == 1] ** 2) < 1e-6
     assert np.max(rare.scale) < 1e3
 
@@ -146,7 +145,7 @@ def test_beside_other_recordings_a_model_lacks_what_is_new_but_no_more_than_all(
     own, parameters = rows(6, before=BEFORE), np.array([1.0, 2.0, 3.0])
 
     def lack(expected: FloatArray | None) -> RemainderFit:
-        again = ChannelRows.of(own.columns, own.features / own.scale, BLOCK, {}, own.links, BEFORE, expected)
+        again = ChannelRows(own.columns, own.features / own.scale, BLOCK, {}, own.links, BEFORE, expected)
         return Design.of([again], COLUMNS).remainders((), (), parameters)[0]
 
     alone = lack(None)
@@ -156,13 +155,14 @@ def test_beside_other_recordings_a_model_lacks_what_is_new_but_no_more_than_all(
 
 
 def test_products_beside_other_variances_go_with_their_design() -> None:
-    """A search asks for hundreds: what nobody holds any more must not stay with the design that it was made from."""
+    """A search asks for hundreds: of those that nobody holds any more, at most the last stay with the rows."""
     design = Design.of([rows(1)], COLUMNS)
     own, other = design.cost, design.given([10.0 * each for each in design.variances])
     assert other.cost > own  # the larger the remainder, the more it costs
     products = weakref.ref(other._marginalised[0])
-    assert design.given(design.variances)._marginalised[0] is design._marginalised[0]  # what is at hand is taken over
+    assert other.given(other.variances)._marginalised[0] is other._marginalised[0]  # what is at hand is taken over
     del other
+    assert design.given(design.variances).cost == own
     assert products() is None
 
 
@@ -171,7 +171,8 @@ def test_products_beside_other_variances_go_with_their_design() -> None:
 def test_features_are_the_likelier_the_more_of_the_remainder_they_are(block: int, before: FloatArray | None) -> None:
     """Whatever other recordings say, and however many features the others have. Noise is none of them."""
     own, parameters = rows(7, 40.0 * (np.arange(3) == block)), np.array([1.0, 2.0, 3.0])
-    design = Design.of([replace(own, prior_covariance=before)], COLUMNS)
+    own.prior_covariance = before
+    design = Design.of([own], COLUMNS)
     gains = list(design.gains_of_features((), (), parameters, 0, ["few", "many", "some"]).values())
     assert int(np.argmax(gains)) == block or block == 3
     assert (max(gains) > 0.0) == (block < 3)

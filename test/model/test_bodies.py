@@ -11,7 +11,6 @@ import pytest
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.urdf_tree import axes_of
 from geomid_ros.types import FloatArray
 
 from .robots import Reference, random_samples, urdf, with_values
@@ -61,17 +60,6 @@ def test_merged_bodies_are_what_pinocchio_lumps(name: str, floating: bool) -> No
             continue
         values = expected.toDynamicParameters()
         np.testing.assert_allclose(sums[joint], values, rtol=0, atol=ROUNDING * np.max(np.abs(values)))
-
-
-@ROBOTS
-def test_every_massive_link_that_moves_is_in_one_body(name: str, floating: bool) -> None:
-    robot = Robot(urdf(name), floating_base=floating)
-    model = Reference(urdf(name), floating_base=floating)
-    moving = {link for link in masses(urdf(name)) if model.frame(link).parentJoint > 0}
-    members = [link for body in robot.bodies for link in (body.name, *body.merged) if link in masses(urdf(name))]
-    assert sorted(members) == sorted(moving)
-    total = sum(masses(urdf(name))[link] for link in moving)
-    assert sum(body.parameters[0] for body in robot.bodies) == pytest.approx(total, rel=ROUNDING)
 
 
 def test_massless_links_are_no_unknowns() -> None:
@@ -192,14 +180,10 @@ def test_bodies_that_a_link_carries(name: str, floating: bool) -> None:
 
 @ROBOTS
 def test_joints_of_one_chain_carry_each_other(name: str, floating: bool) -> None:
-    """By pinocchio's own lists of what carries a joint, and of what it carries."""
-    robot, model = Robot(urdf(name), floating_base=floating), pin.buildModelFromXML(urdf(name))
-    own = [model.getJointId(joint) for joint in robot.joint_names]
-    for place, joint in enumerate(own):
-        related = {*model.supports[joint], *model.subtrees[joint]} - {joint}
-        assert robot.chain(place) == [other for other, each in enumerate(own) if each in related]
-
-
-def test_roll_pitch_and_yaw_are_those_of_the_urdf_reader() -> None:
-    angles = np.random.default_rng(1).uniform(-4.0, 4.0, 3).tolist()
-    np.testing.assert_allclose(axes_of(angles), pin.rpy.rpyToMatrix(*angles), atol=1e-15)
+    """As the URDF's tree has it."""
+    robot = Robot(urdf(name), floating_base=floating)
+    children = {joint.name: joint.child for joint in robot.tree.joints}
+    own = [(children[joint], robot.tree.subtree(children[joint])) for joint in robot.joint_names]
+    for place, (child, carried) in enumerate(own):
+        related = {other for other, (link, beyond) in enumerate(own) if link in carried or child in beyond}
+        assert robot.chain(place) == sorted(related - {place})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,20 @@ QUADRUPEDS = pytest.mark.parametrize(
     ],
 )
 RADIUS = 0.03
+FEET = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
+
+
+def go2(*feet: str, effects: Sequence[str] = (), radius: float = RADIUS) -> MeasurementModel:
+    """A quadruped on these feet."""
+    contacts = [Contact(foot, radius) for foot in feet]
+    named = [identified_effect(effect) for effect in effects]
+    return MeasurementModel(Robot(urdf("go2.urdf"), floating_base=True), named, contacts=contacts)
+
+
+def standing(samples: Samples, feet: int = 1, share: float = 1.0, **arrays: FloatArray) -> Samples:
+    """The samples with other arrays, and a ``share`` of the feet on the ground."""
+    stands = np.random.default_rng(3).random((len(samples), feet)) < share
+    return replace(with_values(samples, **arrays), standing=stands)
 
 
 def bent(robot: Robot, seed: int) -> Samples:
@@ -63,19 +78,19 @@ def test_forces_of_the_ground_drop_out_of_the_rows(name: str, feet: tuple[str, .
     reference = Reference(urdf(name), floating_base=True)
     reference.set_inertias(dict(zip(robot.body_names, bodies, strict=True)))
     samples = bent(robot, seed=2)
-    standing = np.random.default_rng(3).random((len(samples), len(feet))) < 0.6
+    stands = standing(samples, len(feet), 0.6).standing
     wrenches = {
-        foot: on_the_ground(reference, samples, robot.joint_names, foot, seed) * stands[:, None]
-        for seed, (foot, stands) in enumerate(zip(feet, standing.T, strict=True))
+        foot: on_the_ground(reference, samples, robot.joint_names, foot, seed) * stood[:, None]
+        for seed, (foot, stood) in enumerate(zip(feet, stands.T, strict=True))
     }
     base, efforts = reference.inverse_dynamics(samples, robot.joint_names, wrenches)
-    samples = replace(with_values(samples, effort=efforts + friction * samples.velocity), standing=standing)
+    samples = standing(samples, len(feet), 0.6, effort=efforts + friction * samples.velocity)
     measured, predicted = model.predict(samples, np.append(bodies, np.full(len(robot.joints), friction)))
     assert_equal((predicted - measured)[:, -6:], base)
     assert model.legs is not None
-    for joints, stands in zip(model.legs.joints, standing.T, strict=True):
-        assert np.all(np.isnan(measured[:, joints]) == stands[:, None])
-        assert_equal(predicted[~stands][:, joints], measured[~stands][:, joints])
+    for joints, stood in zip(model.legs.joints, stands.T, strict=True):
+        assert np.all(np.isnan(measured[:, joints]) == stood[:, None])
+        assert_equal(predicted[~stood][:, joints], measured[~stood][:, joints])
 
 
 def test_a_leg_of_six_joints_has_a_flat_foot() -> None:
@@ -88,8 +103,7 @@ def test_a_leg_of_six_joints_has_a_flat_foot() -> None:
     samples = with_values(samples, position=0.2 * samples.position + knees)
     ground = 50.0 * np.random.default_rng(3).normal(size=(len(feet), len(samples), 6))
     base, efforts = reference.inverse_dynamics(samples, robot.joint_names, dict(zip(feet, ground, strict=True)))
-    samples = replace(with_values(samples, effort=efforts), standing=np.ones((len(samples), len(feet)), dtype=bool))
-    measured, predicted = model.predict(samples, model.nominal_inertias)
+    measured, predicted = model.predict(standing(samples, len(feet), effort=efforts), model.nominal_inertias)
     np.testing.assert_allclose((predicted - measured)[:, -6:], base, rtol=0.0, atol=1e-8 * np.max(np.abs(efforts)))
 
 
@@ -102,21 +116,15 @@ def test_a_leg_of_six_joints_that_hardly_tells_the_ground_says_nothing() -> None
     leg = [robot.joint_names.index(f"leg_left_{number}_joint") for number in range(1, 7)]
     position[:, leg[3]] += 1.0
     position[1, leg] = 1.54, -0.49, -1.78, 1.66, 0.65, -0.18
-    standing = np.ones((len(samples), 1), dtype=bool)
-    rows = model.rows(replace(with_values(samples, position=position), standing=standing))
+    rows = model.rows(standing(samples, position=position))
     assert np.isnan(rows.targets[:, -6:]).any(axis=1).tolist() == [index == 1 for index in range(len(samples))]
 
 
 def test_columns_of_effects_lose_the_ground_as_rows_do() -> None:
     """Column by column, what effects add to each channel is what the rows have of them where a target is left."""
-    robot = Robot(urdf("go2.urdf"), floating_base=True)
-    feet = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
-    model = MeasurementModel(
-        robot, [identified_effect("viscous_friction")], contacts=[Contact(foot, RADIUS) for foot in feet]
-    )
-    samples = bent(robot, seed=2)
-    standing = np.random.default_rng(3).random((len(samples), len(feet))) < 0.6
-    samples = replace(with_values(samples, effort=samples.velocity), standing=standing)
+    model = go2(*FEET, effects=["viscous_friction"])
+    samples = bent(model.robot, seed=2)
+    samples = standing(samples, len(FEET), 0.6, effort=samples.velocity)
     columns = [model.columns_of(samples, c.effect, c.place, c.index) for c in model.coefficients]
     model.eliminate_ground(samples, columns)
     rows = model.rows(samples)
@@ -131,15 +139,13 @@ def test_columns_of_effects_lose_the_ground_as_rows_do() -> None:
 def test_the_ground_loads_the_gears_of_legs_that_stand() -> None:
     """Friction in proportion to the load, ground included, drops out of the base's rows; what it adds to the load
     itself is of second order."""
-    robot = Robot(urdf("go2.urdf"), floating_base=True)
-    friction = 1e-6
-    model = MeasurementModel(robot, [identified_effect("load_friction")], contacts=[Contact("FL_foot", RADIUS)])
-    reference = Reference(urdf("go2.urdf"), floating_base=True)
+    model, friction = go2(FEET[0], effects=["load_friction"]), 1e-6
+    robot, reference = model.robot, Reference(urdf("go2.urdf"), floating_base=True)
     samples = bent(robot, seed=2)
     wrench = on_the_ground(reference, samples, robot.joint_names, "FL_foot", 3)
     base, efforts = reference.inverse_dynamics(samples, robot.joint_names, {"FL_foot": wrench})
     measured = efforts + friction * np.abs(efforts) * np.sign(samples.velocity)
-    samples = replace(with_values(samples, effort=measured), standing=np.ones((len(samples), 1), dtype=bool))
+    samples = standing(samples, effort=measured)
     targets, predicted = model.predict(samples, np.append(model.nominal_inertias, np.full(len(robot.joints), friction)))
     np.testing.assert_allclose((predicted - targets)[:, -6:], base, rtol=0.0, atol=1e-8)
     np.testing.assert_allclose(predicted[:, 3:-6], targets[:, 3:-6], rtol=0.0, atol=1e-8)
@@ -147,10 +153,8 @@ def test_the_ground_loads_the_gears_of_legs_that_stand() -> None:
 
 def test_a_foot_bears_what_its_leg_says() -> None:
     """By the URDF; a share of what each foot bears when all stand."""
-    robot = Robot(urdf("go2.urdf"), floating_base=True)
-    feet = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
-    model = MeasurementModel(robot, [], contacts=[Contact(foot, RADIUS) for foot in feet])
-    reference = Reference(urdf("go2.urdf"), floating_base=True)
+    model = go2(*FEET)
+    robot, reference = model.robot, Reference(urdf("go2.urdf"), floating_base=True)
     samples = bent(robot, seed=4)
     wrench = on_the_ground(reference, samples, robot.joint_names, "FR_foot", 5)
     efforts = reference.inverse_dynamics(samples, robot.joint_names, {"FR_foot": wrench})[1]
@@ -163,9 +167,8 @@ def test_a_foot_bears_what_its_leg_says() -> None:
 
 def test_under_another_gravity_legs_are_of_that_robot() -> None:
     """Nothing is shared with the model that it is made of: both may be used at the same time."""
-    robot = Robot(urdf("go2.urdf"), floating_base=True)
-    model = MeasurementModel(robot, [], contacts=[Contact("FL_foot")])
-    samples = bent(robot, seed=7)
+    model = go2(FEET[0], radius=0.0)
+    samples = bent(model.robot, seed=7)
     moon = model.with_gravity(np.array([0.0, 0.0, -1.62]))
     direct = Robot(urdf("go2.urdf"), floating_base=True, gravity=np.array([0.0, 0.0, -1.62]))
     expected = MeasurementModel(direct, [], contacts=[Contact("FL_foot")])
@@ -176,12 +179,11 @@ def test_under_another_gravity_legs_are_of_that_robot() -> None:
 
 def test_a_stretched_leg_says_nothing() -> None:
     """Its Jacobian is singular: no base rows there, and no number that is not finite in any coefficient."""
-    robot = Robot(urdf("go2.urdf"), floating_base=True)
-    model = MeasurementModel(robot, [], contacts=[Contact("FL_foot")])
-    samples = bent(robot, seed=6)
+    model = go2(FEET[0], radius=0.0)
+    samples = bent(model.robot, seed=6)
     position = samples.position.copy()
-    position[1, robot.joint_names.index("FL_calf_joint")] = 0.0
-    rows = model.rows(replace(with_values(samples, position=position), standing=np.ones((len(samples), 1), dtype=bool)))
+    position[1, model.robot.joint_names.index("FL_calf_joint")] = 0.0
+    rows = model.rows(standing(samples, position=position))
     assert np.isnan(rows.targets[:, -6:]).any(axis=1).tolist() == [False, True, False, False, False]
     assert np.isfinite(rows.coefficients).all()
 
@@ -205,13 +207,9 @@ def test_feet_that_cannot_be_are_refused(feet: list[str], sensors: list[WrenchSe
         MeasurementModel(robot, [], sensors, contacts=[Contact(foot) for foot in feet])
 
 
-@pytest.mark.parametrize(("text", "contact"), [("foot", Contact("foot")), ("foot:0.02", Contact("foot", 0.02))])
-def test_a_contact_is_parsed(text: str, contact: Contact) -> None:
-    assert Contact.parse(text) == contact
-
-
 @pytest.mark.parametrize("text", ["", ":0.02", "foot:", "foot:wide", "foot:-1", "foot:nan", "foot:inf"])
 def test_another_form_of_a_contact_is_refused(text: str) -> None:
+    assert (Contact.parse("foot"), Contact.parse("foot:0.02")) == (Contact("foot"), Contact("foot", 0.02))
     with pytest.raises(InputError, match="FRAME or FRAME:RADIUS"):
         Contact.parse(text)
 

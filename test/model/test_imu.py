@@ -7,7 +7,6 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.model import se3
 from geomid_ros.model.moving_base import Imu, ImuMount
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -66,12 +65,6 @@ def test_the_base_stands_as_up_says() -> None:
     turned = [pin.XYZQUATToSE3(each).rotation @ vector for each, vector in zip(pose, in_base, strict=True)]
     np.testing.assert_allclose(turned, np.tile([0.0, 0.0, 1.0], (4, 1)), atol=1e-12)
     np.testing.assert_allclose(acceleration, 0.0, atol=1e-12)
-
-
-def test_the_shortest_rotation_of_opposite_vectors_is_half_a_turn() -> None:
-    onto = np.array([0.0, 0.0, 1.0])
-    (quaternion,) = se3.shortest_rotation(-onto[None], onto)
-    np.testing.assert_allclose(pin.Quaternion(quaternion).matrix() @ -onto, onto, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,8 @@ def test_they_are_not_joints_of_their_own() -> None:
     robot = Robot(description(MASSES))
     assert robot.joint_names == ("lift", "turn", "grip")
     assert set(robot.body_names) == {f"{name}_link" for name in MASSES}
+    with_friction = MeasurementModel(robot, [identified_effect("viscous_friction")])
+    assert [c.place_name for c in with_friction.coefficients] == ["lift", "turn", "grip"]
     assert Robot(description(MASSES), locked_joints=["turn"]).joint_names == ("lift", "grip")
     assert Robot(description(MASSES), locked_joints=["turn"]).mimic_joints[0].joint.name == "other_finger"
     assert Robot(description(MASSES), locked_joints=["crank"]).joint_names == ("lift", "turn", "grip")
@@ -178,22 +180,8 @@ def test_friction_of_a_follower_is_its_masters() -> None:
     assert Robot(written).described_dynamics == described | {("turn", "dynamics/damping"): 5.0}
 
 
-def test_no_effect_is_at_a_joint_that_follows() -> None:
-    model = MeasurementModel(Robot(description(MASSES)), [identified_effect("viscous_friction")])
-    assert [c.place_name for c in model.coefficients] == ["lift", "turn", "grip"]
-
-
-def test_what_moves_a_link_of_a_follower_is_its_master() -> None:
-    """So that a load on a finger that follows is not on the hand, which moves without it."""
-    model = MeasurementModel(Robot(description(MASSES)), ())
-    places = dict(zip(model.body_names, model.places.of(EFFECTS["payload"]()), strict=True))
-    assert [model.places.name(places[f"{name}_link"]) for name in MASTERS] == [
-        model.robot.joint_names[master] for master in MASTERS.values()
-    ]
-
-
 def test_what_moves_a_link_is_the_joint_that_its_own_follows() -> None:
-    """As changed links are told: whatever numbers joints have where some of them follow."""
+    """So that a load on a finger that follows is not on the hand, which moves without it."""
     model = MeasurementModel(Robot(description(MASSES)), ())
     own = [place for place in model.places.of(EFFECTS["payload"]()) if isinstance(place, OnLink)]
     moved = {model.body_names[place.link]: model.places.name(place) for place in own}

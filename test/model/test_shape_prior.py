@@ -59,13 +59,6 @@ def test_all_links_weigh_the_total() -> None:
             assert link.mass == kept[link.name].mass
 
 
-def test_inertias_grow_with_the_mass_and_with_nothing_else() -> None:
-    solids = {"a": box(), "b": box(np.array([0.3, 0.1, 0.1]), np.array([1.0, 2.0, 3.0]))}
-    light, heavy = (shape_prior.shape_prior(dict.fromkeys(solids, NONE), solids, mass, "") for mass in (1.0, 7.0))
-    for one, seven in zip(light.links, heavy.links, strict=True):
-        np.testing.assert_allclose(7.0 * one.parameters, seven.parameters, rtol=1e-14)
-
-
 def test_a_box_of_one_kilogram() -> None:
     (link,) = shape_prior.shape_prior({"a": NONE}, {"a": box(centre=np.array([0.0, 0.0, 1.0]))}, 1.0, "").links
     expected = pseudo_inertia.assemble(np.array(1.0), np.array([0.0, 0.0, 1.0]), np.diag([0.2, 0.17, 0.05]) / 12)

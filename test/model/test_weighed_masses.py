@@ -70,19 +70,20 @@ def test_how_they_are_not_written(text: str) -> None:
         WeighedMass.parse(text)
 
 
-def test_a_link_stands_for_its_body() -> None:
-    """As in the estimate, what is fixed to a moving link counts with it."""
-    assert row("fore=2.2:0.1") == ({"fore": 1.0}, 2.2, 0.1)
-    assert row("upper+fore=6:0.1") == ({"upper": 1.0, "fore": 1.0}, 6.0, 0.1)
-
-
-def test_the_total_includes_what_does_not_move() -> None:
-    assert row("total=12:0.1") == ({"upper": 1.0, "fore": 1.0}, 12.0 - MASSES["base"], 0.1)
-
-
-def test_what_is_not_identified_counts_with_the_urdfs_mass() -> None:
-    assert row("total=12:0.1", ["fore"]) == ({"fore": 1.0}, 12.0 - 7.0 - 3.5, 0.1)
-    assert row("upper+fore=6:0.1", ["fore"]) == ({"fore": 1.0}, 6.0 - 3.5, 0.1)
+@pytest.mark.parametrize(
+    ("text", "links", "masses", "unknown"),
+    [
+        ("fore=2.2:0.1", None, {"fore": 1.0}, 2.2),  # with what is fixed to it
+        ("upper+fore=6:0.1", None, {"upper": 1.0, "fore": 1.0}, 6.0),
+        ("total=12:0.1", None, {"upper": 1.0, "fore": 1.0}, 12.0 - MASSES["base"]),  # with what does not move
+        ("total=12:0.1", ["fore"], {"fore": 1.0}, 12.0 - 7.0 - 3.5),  # others have the URDF's mass
+        ("upper+fore=6:0.1", ["fore"], {"fore": 1.0}, 6.0 - 3.5),
+    ],
+)
+def test_a_row_sums_the_masses_of_bodies(
+    text: str, links: list[str] | None, masses: dict[str, float], unknown: float
+) -> None:
+    assert row(text, links) == (masses, unknown, 0.1)
 
 
 def test_of_a_floating_robot_everything_is_unknown() -> None:

@@ -190,43 +190,31 @@ def test_what_an_axis_does_not_measure_is_not_read() -> None:
         )
 
 
-def test_a_mounted_sensor_needs_the_bodies_divided() -> None:
-    sensor = WrenchSensor("/wrist", "panda_hand", "mounted")
-    with pytest.raises(InputError, match=r"'panda_hand'.*cuts"):
-        MeasurementModel(Robot(urdf("panda.urdf")), [], [sensor])
-    with pytest.raises(InputError, match=r"'world'.*cuts"):
-        MeasurementModel(Robot(urdf("ur5_robot.urdf")), [], [WrenchSensor("/base", "world", "mounted")])
+def feet(*axes: tuple[str, ...], topics: str = "ab") -> list[WrenchSensor]:
+    """Loads on two feet."""
+    places = zip(topics, ("FL_FOOT", "FR_FOOT"), axes, strict=True)
+    return [WrenchSensor(f"/{topic}", foot, "external", measured) for topic, foot, measured in places]
 
 
-def test_a_mounted_sensor_needs_something_to_carry() -> None:
-    robot = Robot(urdf("ur5_robot.urdf"), cuts=["tool0"])
-    with pytest.raises(InputError, match="'tool0' has no mass distal to it"):
-        MeasurementModel(robot, [], [WrenchSensor("/wrist", "tool0", "mounted")])
-
-
-def test_a_floating_base_needs_a_known_load() -> None:
-    with pytest.raises(InputError, match="external"):
-        MeasurementModel(Robot(urdf("solo12.urdf"), floating_base=True), [])
-
-
-def test_an_unknown_share_of_a_load_silences_the_joints() -> None:
-    """A fixed arm pushed with a force known along one axis only: nothing can be said, and the message says why."""
-    robot = Robot(urdf("panda.urdf"))
-    with pytest.raises(InputError, match="all six axes"):
-        MeasurementModel(robot, [], [WrenchSensor("/push", "panda_hand", "external", ("fz",))])
-
-
-def test_loads_on_two_feet_must_be_known_fully() -> None:
-    robot = Robot(urdf("solo12.urdf"), floating_base=True)
-    sensors = [WrenchSensor("/a", "FL_FOOT", "external"), WrenchSensor("/b", "FR_FOOT", "external", ("fz",))]
-    with pytest.raises(InputError, match="six axes"):
-        MeasurementModel(robot, [], sensors)
-
-
-def test_two_sensors_on_one_topic_are_refused() -> None:
-    robot = Robot(urdf("solo12.urdf"), floating_base=True)
-    sensors = [WrenchSensor("/a", "FL_FOOT", "external"), WrenchSensor("/a", "FR_FOOT", "external")]
-    with pytest.raises(InputError, match="/a"):
+@pytest.mark.parametrize(
+    ("robot", "sensors", "message"),
+    [
+        (Robot(urdf("panda.urdf")), [WrenchSensor("/wrist", "panda_hand", "mounted")], "'panda_hand'.*cuts"),
+        (Robot(urdf("ur5_robot.urdf")), [WrenchSensor("/base", "world", "mounted")], "'world'.*cuts"),
+        (
+            Robot(urdf("ur5_robot.urdf"), cuts=["tool0"]),
+            [WrenchSensor("/wrist", "tool0", "mounted")],
+            "'tool0' has no mass distal to it",
+        ),
+        (Robot(urdf("solo12.urdf"), floating_base=True), [], "external"),
+        # A fixed arm pushed with a force known along one axis only.
+        (Robot(urdf("panda.urdf")), [WrenchSensor("/push", "panda_hand", "external", ("fz",))], "all six axes"),
+        (Robot(urdf("solo12.urdf"), floating_base=True), feet(AXES, ("fz",)), "six axes"),
+        (Robot(urdf("solo12.urdf"), floating_base=True), feet(AXES, AXES, topics="aa"), "/a"),
+    ],
+)
+def test_what_cannot_be_predicted_is_refused(robot: Robot, sensors: list[WrenchSensor], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         MeasurementModel(robot, [], sensors)
 
 

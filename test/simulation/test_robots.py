@@ -28,7 +28,7 @@ ONE_JOINT = """<robot name="one"><link name="base"/>
         ('<robot name="one">', '<!DOCTYPE x [<!ENTITY a "b">]><robot name="one">', "without a document type"),
         ("revolute", "floating", "'turn' is of type 'floating'"),
         ('effort="10"', "", "no attribute 'effort'"),
-        ('upper="1"', 'upper="nan"', "not a finite number"),
+        ('upper="1"', 'upper="nan"', "has to hold 1 finite number"),
         ('<link name="base"/>', '<link name="base"/><link name="loose"/>', "2 trees"),
         ('<mass value="2"/>', "", "has no <mass>"),
     ],

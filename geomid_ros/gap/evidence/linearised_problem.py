@@ -275,7 +275,7 @@ def design_of(
         first = inertial.shape[1] + len(effects) + 1
         covariance = None if remainder.covariance is None else remainder.covariance / noise[channel].variances[-1]
         channels.append(
-            ChannelRows.of(
+            ChannelRows(
                 white[:, :first],
                 white[:, first:],
                 remainder.block,

@@ -107,7 +107,6 @@ class JointElasticity(SituationEffect):
     adds_up = False
     confusable_with_payload = True
     largest = 1.0  # [rad/(N m)]
-    positives = 1
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
@@ -152,7 +151,6 @@ class Backlash(SituationEffect):
     settled_by = "slow motion in which the load of this joint changes sign"
     largest = 0.2  # [rad]
     adds_up = False
-    positives = 1
 
     @classmethod
     def grid(cls) -> tuple[Effect, ...]:

@@ -134,8 +134,9 @@ class Effect(ABC):
 
     @property
     def positives(self) -> int:
-        """Number of its coefficients, the first ones, that cannot be negative."""
-        return 0
+        """Number of its coefficients, the first ones, that cannot be negative: 1 if its parameter must be above zero.
+        With inertias, such a coefficient is on P(1) (the metric is dc^2/c^2); the others are on real lines."""
+        return int(self.parameters[0].above == 0.0)
 
     @property
     def column_positives(self) -> int:
@@ -328,12 +329,6 @@ class MotionEffect(Effect):
 
     It can be identified with the inertias. Its column is computed before the filter, then filtered like the efforts.
     """
-
-    @property
-    def positives(self) -> int:
-        """1 if the coefficient is on P(1) (it cannot change sign, the metric is dc^2/c^2), because its parameter must
-        be above zero; 0 if it is on a real line."""
-        return int(self.parameters[0].above == 0.0)
 
     @abstractmethod
     def efforts(self, motion: Motion, place: Place) -> FloatArray:

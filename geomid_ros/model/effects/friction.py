@@ -115,7 +115,7 @@ class StribeckFriction(JointEffect):
     """
 
     speed: float = 0.1
-    smoothing: float = 0.02
+    smoothing: float = CoulombFriction.smoothing
 
     name = "stribeck_friction"
     label = "Stribeck friction"
@@ -205,8 +205,7 @@ class LoadFriction(LoadEffect):
     parameters = (ParameterForm("coefficient", ("-", "-"), above=0.0, below=1.0),)
     settled_by = "the same motion with and without a known payload"
     drift = FRICTION_DRIFT
-    largest = 1.0  # at 1 the gear transmits nothing
-    positives = 1  # friction dissipates energy
+    largest = parameters[0].below  # there the gear transmits nothing
 
     def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
         return np.abs(load) * sign
@@ -233,7 +232,7 @@ class SaturatingFriction(JointEffect):
     Typical of seals, and of lubricant that thins with speed: viscous at slow motion, nearly constant at fast motion.
     """
 
-    speed: float = 0.6
+    speed: float = SETTING_IN[2]
 
     name = "saturating_friction"
     label = "friction that levels off with speed"
@@ -294,7 +293,7 @@ class Presliding(JointEffect):
     reversal, so over a distance of ``v^2 / (2 a)``; a joint that slows down is assumed to slide.
     """
 
-    distance: float = 1e-2
+    distance: float = DISTANCES[1]
 
     name = "presliding"
     label = "presliding"

@@ -27,7 +27,7 @@ class GravityTilt(SituationEffect):
     )
     settled_by = "slow motion of the first joint over its range, with the arm stretched out"
     place = "robot"
-    count = 2
+    count = len(parameters)
     largest = 0.5  # [rad] a base tilted further is mounted so on purpose
     confusable_with_payload = True
     relinearise_beyond = (0.03, 0.03)
@@ -48,16 +48,10 @@ class GravityTilt(SituationEffect):
 
 
 def _turned(gravity: FloatArray, tilt: FloatArray) -> FloatArray:
-    """Return gravity rotated by Rodrigues' formula for the opposite rotation."""
-    angle = float(np.linalg.norm(tilt))
-    if angle == 0.0:
-        return gravity
-    axis = np.append(tilt, 0.0) / angle
-    return np.asarray(
-        np.cos(angle) * gravity
-        - np.sin(angle) * np.cross(axis, gravity)
-        + (1.0 - np.cos(angle)) * (axis @ gravity) * axis
-    )
+    """Return gravity rotated by the opposite rotation."""
+    from scipy.linalg import expm  # noqa: PLC0415 of tilted bases alone
+
+    return np.asarray(expm(np.cross(np.append(tilt, 0.0), np.eye(3))) @ gravity)
 
 
 _URDF, _MJCF = "link/inertial", "body/inertial"

@@ -51,6 +51,7 @@ class EffortGain(SituationEffect):
     default_prior_std = (0.1,)
     scales_measurement = True
     corrected_in_samples = True
+    positives = 0  # the gain minus 1
 
     def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if no model may be built at these coefficients."""
@@ -146,7 +147,7 @@ class ImuOffset(SensorEffect):
     parameters = tuple(ParameterForm(name, ("N", "N"), optional=True) for name in ("fx", "fy"))
     settled_by = "standing on level ground, and again turned by half a turn"
     place = "base"
-    count = 2
+    count = len(parameters)
 
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:
         return np.broadcast_to(np.eye(len(axes)), (*motion.position.shape[:-1], len(axes), len(axes)))
