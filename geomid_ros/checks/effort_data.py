@@ -69,7 +69,7 @@ class EffortData:
         """
         effort = kept.samples.effort
         changing = [_changes(values) for values in effort.T]
-        joints = np.flatnonzero((np.mean(np.isfinite(effort), axis=0) >= MOST) & changing)
+        joints = np.flatnonzero(is_measured(kept.samples) & changing)
         usable = np.all(np.isfinite(effort[:, joints]), axis=1)
         samples = kept.samples.select(usable)
         return EffortData(
@@ -346,6 +346,11 @@ class EffortData:
 def largest_of_unit(sizes: FloatArray, units: Sequence[str]) -> FloatArray:
     """Largest of the sizes of channels ``(C,)`` with the same unit as each ``(C,)``."""
     return np.array([np.max(sizes[np.array(units) == unit]) for unit in units])
+
+
+def is_measured(samples: Samples) -> BoolArray:
+    """True for joints whose efforts are measured in half of the samples or more ``(joints,)``."""
+    return np.asarray(np.mean(np.isfinite(samples.effort), axis=0) >= MOST)
 
 
 def _changes(effort: FloatArray) -> bool:

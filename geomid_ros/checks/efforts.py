@@ -9,10 +9,10 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, TILT, CandidateFit, FaultCandidate
+from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, TILT, FaultCandidate
 from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.effort_data import EffortData
-from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_CORRELATION, LEAST_SIGMA, MOST
+from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_CORRELATION, LEAST_SIGMA, MOST, Evidence
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.types import FloatArray
 
@@ -28,17 +28,16 @@ def _signs(subject: EffortData) -> Iterator[FaultCandidate]:
     for joints in [every, *([joint] for joint in every if len(every) > 1)]:
         names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(every)
         cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], is_all), all_joints=is_all)
-        yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause, joints)
+        yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause)
 
 
-def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> FaultCandidate:
+def _linear(matrix: FloatArray, cause: Cause) -> FaultCandidate:
     """Candidate whose efforts, times a ``matrix (C, C)``, are those of this robot."""
     channels, sizes = np.arange(len(matrix)), np.abs(matrix)
     sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
     return FaultCandidate(
         corrected=lambda subject: subject.with_efforts(subject.measured @ matrix.T),
         cause=cause,
-        channels=concerned,
         sizes=sizes[channels, sources],
         sources=sources,
     )
@@ -49,7 +48,7 @@ def _orders(subject: EffortData) -> Iterator[FaultCandidate]:
     for first, second in exchanges(subject.names)[0]:
         matrix = np.eye(len(subject.joints))
         matrix[[first, second]] = matrix[[second, first]]
-        yield _linear(matrix, Cause.of("order", [subject.names[first], subject.names[second]]), [first, second])
+        yield _linear(matrix, Cause.of("order", [subject.names[first], subject.names[second]]))
 
 
 def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -64,7 +63,7 @@ def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
                 matrix = np.eye(len(subject.joints))
                 matrix[joint, other] = sign
                 cause = Cause(kind="coupled", sentence="", places=(subject.names[joint],))
-                yield replace(_linear(matrix, cause, [joint]), may_be_named=False)
+                yield replace(_linear(matrix, cause), may_be_named=False)
 
 
 def _frictions(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -76,11 +75,7 @@ def _frictions(subject: EffortData) -> Iterator[FaultCandidate]:
     concerned = np.flatnonzero(drives).tolist()
     if concerned and not np.any(subject.fitted_slopes(fitted)[1] < -LEAST_CORRELATION):
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
-
-        def undo(subject: EffortData) -> CandidateFit:
-            return CandidateFit.of(subject, subject.measured_std, subject.evidence(either_sign=drives))
-
-        yield FaultCandidate(fit_corrected=undo, cause=cause, channels=concerned)
+        yield FaultCandidate(fit_corrected=lambda subject: subject.evidence(either_sign=drives), cause=cause)
 
 
 def _magnitudes(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -91,16 +86,16 @@ def _magnitudes(subject: EffortData) -> Iterator[FaultCandidate]:
         return
     cause = Cause.of("magnitude", [subject.names[joint] for joint in concerned])
 
-    def undo(subject: EffortData) -> CandidateFit:
+    def undo(subject: EffortData) -> Evidence:
         measured = subject.measured.copy()
         explained = np.array([_expected(subject, channel) for channel in concerned]).T
         for _ in range(ROUNDS):
             measured[:, concerned] = np.copysign(measured[:, concerned], explained)
             mended = subject.with_efforts(measured)
             explained = mended.explained(mended.nominal)[:, concerned]
-        return CandidateFit.of(mended, mended.measured_std)  # restored signs make numbers vary more, not less probable
+        return mended.nominal  # in its own units: restored signs make numbers vary more, not less probable
 
-    yield FaultCandidate(fit_corrected=undo, cause=cause, channels=concerned)
+    yield FaultCandidate(fit_corrected=undo, cause=cause)
 
 
 def _without_sign(subject: EffortData) -> list[int]:
@@ -127,7 +122,7 @@ def _gains(subject: EffortData) -> Iterator[FaultCandidate]:
     slopes, r_squared = subject.slopes()
     common, settled = _common_factor(subject, slopes, r_squared)
     if not 1.0 / MASS_FACTOR <= common <= MASS_FACTOR:
-        yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), every, settled)
+        yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), settled)
     by_size = np.std(subject.predicted, axis=0) / subject.measured_std
     factors = np.where(
         (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size
@@ -138,12 +133,12 @@ def _gains(subject: EffortData) -> Iterator[FaultCandidate]:
     for joint in np.flatnonzero(unlike_common & unlike_nominal & (factors > 0.0)).tolist() if len(every) > 1 else ():
         factor, beyond_rating = float(factors[joint]), bool(loads[joint] > MASS_FACTOR**2)
         matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
-        yield _gain(matrix, _other_unit(subject, [joint], factor), [joint], beyond_rating)
+        yield _gain(matrix, _other_unit(subject, [joint], factor), beyond_rating)
 
 
-def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: bool) -> FaultCandidate:
+def _gain(matrix: FloatArray, cause: Cause, settled: bool) -> FaultCandidate:
     """Candidate for another unit of efforts, on which their resemblance to the prediction does not depend."""
-    linear = _linear(matrix, cause, concerned)
+    linear = _linear(matrix, cause)
     return replace(linear, needs_no_evidence=settled, corrected=None, fit_corrected=linear.evaluate)
 
 

@@ -8,7 +8,7 @@ the probability density of u with x and f integrated out; sigma is found per cha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -48,6 +48,8 @@ class Evidence:
         friction: ``(C, 5)`` its coefficients, in standard deviations of the measured channels.
         precision: ``(r + C k, r + C k)`` of the links' errors and the channels' separate coefficients; 1 for those
             fixed at zero.
+        estimates, estimate_deviations: ``(k,)`` sizes of a fault that were estimated with it, and their standard
+            deviations.
     """
 
     log_evidence: float
@@ -55,6 +57,8 @@ class Evidence:
     link_errors: FloatArray
     friction: FloatArray
     precision: FloatArray
+    estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
+    estimate_deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def deviations(self) -> FloatArray:
         """Standard deviations ``(r,)`` of the links' errors."""

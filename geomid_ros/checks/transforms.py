@@ -9,26 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from types import EllipsisType
+from functools import partial
 
 import numpy as np
 
-from geomid_ros.checks.candidates import (
-    MASS_FACTOR,
-    PROBABLE,
-    ROUNDS,
-    STEP,
-    TILT,
-    CandidateFit,
-    FaultCandidate,
-    probabilities,
-)
+from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, STEP, TILT, FaultCandidate, is_probable
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.efforts import EFFORT_TRANSFORMS, exchanges, with_gravity_added, without_gravity
-from geomid_ros.checks.evidence import LEAST_SIGMA
+from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
 from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, Samples
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import FloatArray
 
 UNITS = {
     "N m": {
@@ -58,10 +49,8 @@ def _names(subject: EffortData) -> Iterator[FaultCandidate]:
         described = ", ".join(f"'{first}' and '{second}'" for first, second in both)
         cause = Cause.of("names", [name for end in zip(*both, strict=True) for name in end], pairs=described)
 
-        def read(samples: Samples, order: IntArray = order) -> Samples:
-            return samples.with_joints(order)
-
-        yield _of_motion(read, cause, [place for pair in pairs for place in pair], sources=sources)
+        reordered = partial(Samples.with_joints, order=order)
+        yield replace(_of_motion(reordered, cause), sources=sources, changes_all=False)
 
 
 def positions(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -90,25 +79,13 @@ def _in_unit(
 ) -> FaultCandidate:
     right = "m and m/s" if unit in UNITS["N"] else "rad and rad/s"
     cause = Cause.of("position", names, positions=positions_text, unit=unit, right=right)
-    return _of_motion(lambda samples: _moved(samples, np.diag(scales)), cause, settled=settled)
+    return replace(_of_motion(partial(_moved, matrix=np.diag(scales)), cause), needs_no_evidence=settled)
 
 
-def _of_motion(
-    change: Callable[[Samples], Samples],
-    cause: Cause,
-    concerned: Sequence[int] | EllipsisType = ...,
-    *,
-    sources: IntArray | EllipsisType = ...,
-    settled: bool = False,
-) -> FaultCandidate:
+def _of_motion(change: Callable[[Samples], Samples], cause: Cause) -> FaultCandidate:
     """Candidate whose changed samples are those of this robot."""
-
     return FaultCandidate(
-        corrected=lambda subject: subject.with_samples(change(subject.samples)),
-        cause=cause,
-        channels=concerned,
-        sources=sources,
-        needs_no_evidence=settled,
+        corrected=lambda subject: subject.with_samples(change(subject.samples)), cause=cause, changes_all=True
     )
 
 
@@ -140,15 +117,16 @@ def _times(subject: EffortData) -> Iterator[FaultCandidate]:
 def _at_rate(subject: EffortData, rate: float, cause: Cause) -> FaultCandidate:
     same = np.eye(len(subject.robot.joints))
 
-    def undo(subject: EffortData) -> CandidateFit:
-        judged = CandidateFit.of(subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.measured_std)
-        without = max(
-            CandidateFit.of(read(subject), subject.measured_std).log_evidence
-            for read in (without_gravity, with_gravity_added)
+    def undo(subject: EffortData) -> Evidence:
+        timed = subject.with_samples(_moved(subject.samples, same, rate=rate))
+        judged, *without = (
+            read.in_units(subject.measured_std).nominal
+            for read in (timed, without_gravity(subject), with_gravity_added(subject))
         )
-        return replace(judged, log_evidence=judged.log_evidence - max(without - subject.nominal.log_evidence, 0.0))
+        beyond = max(one.log_evidence - subject.nominal.log_evidence for one in without)
+        return replace(judged, log_evidence=judged.log_evidence - max(beyond, 0.0))
 
-    return FaultCandidate(fit_corrected=undo, cause=cause)
+    return FaultCandidate(fit_corrected=undo, cause=cause, changes_all=True)
 
 
 def _zeros(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -187,14 +165,14 @@ def _absolute(subject: EffortData, joint: int, other: int, share: float) -> Faul
     cause = Cause.of("absolute", [names[joint], names[other]], sign="minus" if share > 0.0 else "plus")
     matrix = np.eye(len(names))
     matrix[joint, other] = -share
-    return _of_motion(lambda samples: _moved(samples, matrix), cause)
+    return _of_motion(partial(_moved, matrix=matrix), cause)
 
 
 def _reversed_motion(subject: EffortData, joint: int) -> FaultCandidate:
     """Candidate for a joint whose position and speed have the opposite sign, but not its effort."""
     cause = Cause.of("axis", [subject.robot.joint_names[joint]], reversed="position and velocity", zero="")
     signs = np.where(np.arange(len(subject.robot.joints)) == joint, -1.0, 1.0)
-    return _of_motion(lambda samples: _moved(samples, np.diag(signs)), cause)
+    return _of_motion(partial(_moved, matrix=np.diag(signs)), cause)
 
 
 def _zero(subject: EffortData, joint: int, sign: float, start: float) -> FaultCandidate:
@@ -209,7 +187,7 @@ def _zero(subject: EffortData, joint: int, sign: float, start: float) -> FaultCa
     def read(subject: EffortData, zero: float = start) -> EffortData:
         return subject.with_samples(_with_zero(subject.samples, joint, sign, zero))
 
-    def undo(subject: EffortData) -> CandidateFit:
+    def undo(subject: EffortData) -> Evidence:
         zero, mended = start, read(subject)
         fitted = mended.nominal
         for _ in range(ROUNDS):
@@ -220,11 +198,10 @@ def _zero(subject: EffortData, joint: int, sign: float, start: float) -> FaultCa
             mended.__dict__["predicted"] = mended.predicted + (start - zero) / TILT * rate
             fitted = mended.evidence(unknown=rate[:, :, None])
             zero = start + TILT * float(fitted.link_errors[-1])
-        deviations = TILT * fitted.deviations()[-1:]
-        return CandidateFit.of(mended, subject.measured_std, fitted, estimates=np.array([zero]), deviations=deviations)
+        return replace(fitted, estimates=np.array([zero]), estimate_deviations=TILT * fitted.deviations()[-1:])
 
-    def cause(judged: CandidateFit) -> Cause:
-        zero, deviation = np.degrees([judged.estimates[0], judged.deviations[0]])
+    def cause(judged: Evidence) -> Cause:
+        zero, deviation = np.degrees([judged.estimates[0], judged.estimate_deviations[0]])
         turn = (zero + 180.0) % 360.0 - 180.0
         text = f"about {turn:.0f} (+-{max(2.0 * deviation, 1.0):.0f}) degrees have"
         if sign > 0.0:
@@ -232,7 +209,7 @@ def _zero(subject: EffortData, joint: int, sign: float, start: float) -> FaultCa
         addition = "" if abs(turn) < 5.0 else f", and {text} to be added to its positions then"
         return Cause.of("axis", [name], reversed="position, velocity and effort", zero=addition)
 
-    return FaultCandidate(fit_corrected=undo, corrected=read, cause=cause)
+    return FaultCandidate(fit_corrected=undo, corrected=read, cause=cause, changes_all=True)
 
 
 def _with_zero(samples: Samples, joint: int, sign: float, zero: float) -> Samples:
@@ -253,7 +230,7 @@ def transforms(subject: EffortData) -> tuple[list[FaultCandidate], int]:
     """Return all candidates that are worth evaluating on a subject, and the number that they are chosen from."""
     # If efforts are almost explained, another reading of the motion cannot gain enough.
     possible_gain = float(np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)))
-    rows = (*_AS_IT_MOVES, *MOTION_TRANSFORMS) if probabilities([possible_gain], 1)[0] > PROBABLE else _AS_IT_MOVES
+    rows = (*_AS_IT_MOVES, *MOTION_TRANSFORMS) if is_probable(possible_gain, 1) else _AS_IT_MOVES
     chosen, count = list[FaultCandidate](), 0
     for row in rows:
         ranked = sorted(row(subject), key=lambda candidate: -candidate.resemblance(subject.thinned))
