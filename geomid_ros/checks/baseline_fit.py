@@ -6,15 +6,13 @@ Curves stand for springs, cables and other friction laws: what they explain is n
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from geomid_ros.checks.evidence import PRIOR_STD, Evidence, Unknowns, evidence
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.geometry import spd
 from geomid_ros.model.samples import REST_SPEED
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray
 
 _SLOW = 0.05  # fraction of a joint's largest speed, below which stiction is arbitrary
 
@@ -67,60 +65,19 @@ class BaselineFit:
         self._moving = moving(friction[:, :, 1]).astype(np.float64)
         self.instants = float(np.mean(np.maximum(np.sum(self._moving, axis=0), 1.0)))
         """Mean number of samples per channel."""
-        self._own = np.concatenate([_curves(position, friction, predicted), friction], axis=2)
-        self._tolerated = np.ones(self._own.shape[1:])
+        own = np.concatenate([_curves(position, friction, predicted), friction], axis=2)
+        self._tolerated = np.ones(own.shape[1:])
         self._tolerated[:, -tolerated.shape[1] :] = tolerated
-        self._unknowns = links.with_separate(self._own)
+        self._unknowns = links.with_separate(own)
         self.nominal = self._evidence(self._unknowns)
         """Evidence without further columns."""
         self.link_errors = self.nominal.link_errors
         """Fitted errors of the links ``(r,)``."""
         self.link_efforts = self._rigid(self.link_errors)
         """Efforts of the fitted links ``(N, C)``."""
-        self._linearise()
-
-    def predicted_gains(
-        self, columns: FloatArray, begins: IntArray | None = None, *, before: bool = False
-    ) -> FloatArray:
-        """Return an approximate lower bound of ``gain(columns).per_instant``, at the noise without the columns [nats].
-
-        Args:
-            columns: ``(N, C, k)`` in units of the efforts, per standard deviation of their coefficients.
-            begins: ``(n,)`` increasing indices of samples; the columns are zero before each, or from it on if
-                ``before``. By default they begin at the first sample.
-
-        Returns:
-            For each beginning ``(n,)``.
-        """
-        ends = np.append(0 if begins is None else begins, len(columns))
-        if before:
-            ends = np.append(0, ends[:-1])
-        parts = np.array([self._crossed(columns, slice(*part)) for part in pairwise(ends)])
-        sums = np.cumsum(parts, axis=0) if before else np.cumsum(parts[::-1], axis=0)[::-1]
-        return np.array([self._promise(total) for total in sums])
-
-    def _crossed(self, columns: FloatArray, part: slice) -> FloatArray:
-        """Products ``(K + k + 1, k)`` of the known columns, the columns and the target with the columns, over some
-        samples, all in units of the noise."""
-        count, size = columns.shape[2], len(self._whitener)
-        sums = np.zeros((size + count + 1, count))
-        for channel, (places, known) in enumerate(zip(self._known.places, self._known.columns, strict=True)):
-            nonzero = np.flatnonzero(np.any(columns[part, channel], axis=0))
-            rows = self._weights[part, channel, None] * columns[part, channel, nonzero]
-            at = np.concatenate([places, size + nonzero, [size + count]])
-            sums[at[:, None], nonzero] += np.column_stack([known[part], rows, self._target[part, channel]]).T @ rows
-        return sums
-
-    def _promise(self, crossed: FloatArray) -> float:
-        with_known, squared, target = np.split(crossed, [len(self._whitener), len(crossed) - 1])
-        coupling = self._whitener @ with_known
-        sizes, axes = np.linalg.eigh(squared - coupling.T @ coupling)
-        precisions = 1.0 + np.maximum(sizes, 0.0)  # rounding makes sizes of tiny efforts negative
-        quadratic = float(np.sum((axes.T @ (target[0] - self._explained @ coupling)) ** 2 / precisions))
-        return 0.5 * (quadratic - float(np.sum(np.log(precisions)))) / self.instants
 
     def gain(self, columns: FloatArray) -> EvidenceGain:
-        """Fit additional columns, in the form of :meth:`predicted_gains`."""
+        """Fit additional ``columns (N, C, k)`` of the efforts, per standard deviation of their coefficients."""
         fitted, rank = self._evidence(self._unknowns.with_errors(columns)), self._unknowns.links
         return EvidenceGain(
             per_instant=(fitted.log_evidence - self.nominal.log_evidence) / self.instants,
@@ -137,17 +94,6 @@ class BaselineFit:
         """Evidence of unknowns of unit variance, curves and friction."""
         target = (self.measured - self._predicted) / self.measured_std
         return evidence(target, unknowns, self._tolerated, units=self.measured_std, counted=self._moving)
-
-    def _linearise(self) -> None:
-        """Linearise at the fit, with friction of either sign."""
-        self._weights = self._moving / (self.measured_std * self.nominal.sigmas)
-        scaled = self._own * self._tolerated * self.measured_std[:, None]
-        self._known = self._unknowns.with_separate(scaled).times(self._weights)
-        self._target = self._weights * (self.measured - self._predicted)
-        sums = self._known.with_target(self._target, np.ones(self._target.shape[1]))
-        products = sums.weighed(np.ones(len(sums)))
-        self._whitener = spd.whitener(products[:-1, :-1] + np.eye(len(products) - 1))
-        self._explained = self._whitener @ products[:-1, -1]
 
 
 def moving(velocity: FloatArray) -> BoolArray:

@@ -47,25 +47,21 @@ class _Kind:
 
 
 def changes(subject: EffortData) -> Iterator[FaultCandidate]:
-    """Yield the changes that explain anything."""
+    """Yield the changes that explain anything, each from where it explains most."""
     yield from switches(subject)
-    fit, recordings = subject.baseline_fit, subject.recordings
     # People change something between recordings rather than during one.
     begins = np.union1d(
-        np.searchsorted(subject.shares, _PLACES), np.flatnonzero(np.diff(recordings, prepend=recordings[0]))
+        np.searchsorted(subject.shares, _PLACES),
+        np.flatnonzero(np.diff(subject.recordings, prepend=subject.recordings[0])),
     )
     for kind in _kinds(subject):
-        always = kind.columns(subject)
-        tried = fit.predicted_gains(always, begins, before=kind.first)
-        place, promise = float(subject.shares[begins[int(np.argmax(tried))]]), float(np.max(tried))
-        when = f"until about {subject.time_of(place)}" if kind.first else f"from about {subject.time_of(place)} on"
-        if kind.grows and (growing := float(fit.predicted_gains(subject.shares[:, None, None] * always)[0])) > promise:
-            place, when, promise = np.nan, BIT_BY_BIT, growing
-        if promise <= 0.0:
-            continue
-        gain = fit.gain(kind.onset(subject, place))
-        cause = kind.cause(gain, when)
-        if cause is not None:
+        places = [*subject.shares[begins].tolist(), *([np.nan] if kind.grows else [])]
+        gains = [subject.baseline_fit.gain(kind.onset(subject, place)) for place in places]
+        best = int(np.argmax([gain.per_instant for gain in gains]))
+        place, gain = places[best], gains[best]
+        time = BIT_BY_BIT if np.isnan(place) else f"about {subject.time_of(place)}"
+        cause = kind.cause(gain, time if np.isnan(place) else f"until {time}" if kind.first else f"from {time} on")
+        if cause is not None and gain.per_instant > 0.0:
             yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), cause)
 
 
