@@ -101,15 +101,17 @@ class SaturationDetector:
             ``(N, joints)`` True for saturated efforts.
         """
         numbers, moving = np.arange(1, len(stamps) + 1)[:, None] + self._messages, moving[:, None]
-        sizes = np.abs(np.concatenate([self._largest[None], effort]))
+        size = np.abs(effort)
+        last, sizes = np.concatenate([self._last[None], size[:-1]]), np.concatenate([self._largest[None], size])
         if not self._stamp:  # the first message is not learned from
             sizes[1] = np.nan
-        records, last = np.fmax.accumulate(sizes), np.concatenate([self._last[None], effort[:-1]])
-        largest = np.abs(effort) == records[1:]
-        begun = _latest(np.where((effort != last) | ~moving, numbers, -1), self._begun)
-        held = self._learn_held(
-            numbers - np.concatenate([self._begun[None], begun[:-1]]), effort, last, records, moving
-        )
+        records, new = np.fmax.accumulate(sizes), size != last
+        record, largest = records[1:], size == records[1:]
+        begun = _latest(np.where(new | ~moving, numbers, -1), self._begun)
+        # Efforts below the largest stay constant, too, if the driver seldom renews them.
+        smaller = (record > records[:-1]) | (last < record)
+        lengths = numbers - np.concatenate([self._begun[None], begun[:-1]])
+        held = _latest(np.where(new & moving & smaller, lengths, 0), self._held)
         moved = _latest(np.where(largest & ~(np.abs(velocity) < REST_SPEED), numbers, -1), self._moved)
         before = np.concatenate([[self._stamp], stamps])[np.maximum(begun - self._messages - 1, 0)]
         since = np.where(begun > self._messages, before, self._since)
@@ -117,29 +119,10 @@ class SaturationDetector:
         result: BoolArray = moving & largest & (moved >= begun) & (count < _MOSTLY * numbers)
         result &= (held > 0) & (numbers - begun >= _LONG * np.maximum(1, held) - 1)
         result &= 1e-9 * (stamps[:, None] - since) >= LONGEST_SAME
-        self._stamp, self._last, self._largest = int(stamps[-1]), effort[-1].copy(), records[-1]
+        self._stamp, self._last, self._largest, self._held = int(stamps[-1]), size[-1], record[-1], held[-1]
         self._begun, self._since, self._moved, self._at_largest = begun[-1], since[-1], moved[-1], count[-1]
         self._messages += len(stamps)
         return result
-
-    def _learn_held(
-        self, lengths: IntArray, effort: FloatArray, last: FloatArray, records: FloatArray, moving: BoolArray
-    ) -> IntArray:
-        """Learn how long efforts below the largest stay constant, as they do if the driver seldom renews them.
-
-        Args:
-            lengths: ``(N, joints)`` number of messages with the effort before.
-            effort, last: ``(N, joints)`` efforts, and those before.
-            records: ``(N + 1, joints)`` the largest effort before these messages, and so far.
-            moving: ``(N, 1)`` True if the robot moves.
-
-        Returns:
-            ``(N, joints)`` longest run so far.
-        """
-        smaller = (records[1:] > records[:-1]) | (np.abs(last) < records[1:])
-        held = _latest(np.where((effort != last) & moving & smaller, lengths, 0), self._held)
-        self._held = held[-1]
-        return held
 
 
 def _latest(numbers: IntArray, before: IntArray) -> IntArray:
