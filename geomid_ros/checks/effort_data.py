@@ -319,28 +319,27 @@ class EffortData:
     def resemblance(self) -> float:
         """Resemblance of measured and predicted efforts: the log likelihood per sample if each is a positive multiple
         of its prediction, plus friction. No links are fitted."""
-        slopes, r_squared = self.slopes()
-        residual_square = np.maximum(1.0 - np.where(slopes > 0.0, r_squared, 0.0), LEAST_SIGMA**2)
+        residual_square = np.maximum(1.0 - np.maximum(self.slopes()[1], 0.0) ** 2, LEAST_SIGMA**2)
         return -0.5 * float(np.sum(np.log(residual_square)))
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
-        """Slope of measured over predicted efforts, and their squared correlation, without friction ``(C,)``."""
+        """Slope of measured over predicted efforts, and their correlation, without friction ``(C,)``."""
         both = self._without_friction(np.stack([self.measured.T, self.predicted.T], axis=2))
-        measured, predicted = both[:, :, 0], both[:, :, 1]
-        crossed, squares = np.sum(measured * predicted, axis=1), np.sum(predicted**2, axis=1)
-        slopes = crossed / np.maximum(squares, 1e-30)
-        return slopes, crossed**2 / np.maximum(squares * np.sum(measured**2, axis=1), 1e-30)
+        return _slopes(both[:, :, 0].T, both[:, :, 1].T)
 
     def fitted_slopes(self, fit: Evidence) -> tuple[FloatArray, FloatArray]:
         """Slope of the fitted links' efforts over the URDF's, and their correlation, which is zero where these links
         explain little of the measurement ``(C,)``. If it is negative, as if mass were, efforts have the wrong sign."""
         fitted, nominal = self.regressor @ self.links(fit), self.predicted
-        fitted, nominal = fitted - np.mean(fitted, axis=0), nominal - np.mean(nominal, axis=0)
-        crossed, size = np.sum(fitted * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
-        correlations = crossed / np.maximum(np.sqrt(size * np.sum(fitted**2, axis=0)), 1e-30)
-        return crossed / size, np.where(
-            np.std(fitted, axis=0) > LARGEST_RESIDUAL * self.measured_std, correlations, 0.0
-        )
+        slopes, correlations = _slopes(fitted - np.mean(fitted, axis=0), nominal - np.mean(nominal, axis=0))
+        explain = np.std(fitted, axis=0) > LARGEST_RESIDUAL * self.measured_std
+        return slopes, np.where(explain, correlations, 0.0)
+
+
+def _slopes(values: FloatArray, over: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slope of values over others, both ``(N, C)``, and their correlation ``(C,)``, through zero."""
+    crossed, size = np.sum(values * over, axis=0), np.maximum(np.sum(over**2, axis=0), 1e-30)
+    return crossed / size, crossed / np.maximum(np.sqrt(size * np.sum(values**2, axis=0)), 1e-30)
 
 
 def largest_of_unit(sizes: FloatArray, units: Sequence[str]) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, TILT, FaultCandidate
 from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.effort_data import EffortData
-from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_CORRELATION, LEAST_SIGMA, MOST, Evidence
+from geomid_ros.checks.evidence import LEAST_SIGMA, MOST, Evidence, follows
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.types import FloatArray
 
@@ -33,12 +33,12 @@ def _signs(subject: EffortData) -> Iterator[FaultCandidate]:
 
 def _linear(matrix: FloatArray, cause: Cause) -> FaultCandidate:
     """Candidate whose efforts, times a ``matrix (C, C)``, are those of this robot."""
-    channels, sizes = np.arange(len(matrix)), np.abs(matrix)
-    sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
+    sizes = np.abs(matrix)
+    sources = np.where(np.diag(sizes) > 0.0, np.arange(len(matrix)), np.argmax(sizes, axis=1))
     return FaultCandidate(
         corrected=lambda subject: subject.with_efforts(subject.measured @ matrix.T),
         cause=cause,
-        sizes=sizes[channels, sources],
+        sizes=np.take_along_axis(sizes, sources[:, None], axis=1)[:, 0],
         sources=sources,
     )
 
@@ -73,7 +73,7 @@ def _frictions(subject: EffortData) -> Iterator[FaultCandidate]:
     power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
     drives = (power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)
     concerned = np.flatnonzero(drives).tolist()
-    if concerned and not np.any(subject.fitted_slopes(fitted)[1] < -LEAST_CORRELATION):
+    if concerned and not np.any(follows(-subject.fitted_slopes(fitted)[1])):
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
         yield FaultCandidate(fit_corrected=lambda subject: subject.evidence(either_sign=drives), cause=cause)
 
@@ -119,14 +119,12 @@ def _expected(subject: EffortData, channel: int) -> FloatArray:
 def _gains(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for another unit, or fractions of rated efforts, of all joints together and of each alone."""
     every = range(len(subject.joints))
-    slopes, r_squared = subject.slopes()
-    common, settled = _common_factor(subject, slopes, r_squared)
+    slopes, correlations = subject.slopes()
+    common, settled = _common_factor(subject)
     if not 1.0 / MASS_FACTOR <= common <= MASS_FACTOR:
         yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), settled)
     by_size = np.std(subject.predicted, axis=0) / subject.measured_std
-    factors = np.where(
-        (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size
-    )
+    factors = np.where(follows(correlations), 1.0 / np.maximum(slopes, 1e-30), by_size)
     unlike_common = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(MASS_FACTOR)
     unlike_nominal = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(MASS_FACTOR)
     loads = np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints]
@@ -142,15 +140,14 @@ def _gain(matrix: FloatArray, cause: Cause, settled: bool) -> FaultCandidate:
     return replace(linear, needs_no_evidence=settled, corrected=None, fit_corrected=linear.evaluate)
 
 
-def _common_factor(subject: EffortData, slopes: FloatArray, r_squared: FloatArray) -> tuple[float, bool]:
+def _common_factor(subject: EffortData) -> tuple[float, bool]:
     """Factor that makes all efforts those of the URDF, and True if it is certain without any evidence: if the fitted
     links are all too light or too heavy by the same factor."""
-    fitted, correlations = subject.fitted_slopes(subject.nominal)
-    follows = correlations > LEAST_CORRELATION
-    for ratios, sure in ((slopes, (r_squared > 1.0 - LARGEST_RESIDUAL**2) & (slopes > 0.0)), (fitted, follows)):
+    for slopes, correlations in (subject.slopes(), subject.fitted_slopes(subject.nominal)):
+        sure = follows(correlations)
         if np.count_nonzero(sure) >= 2:
-            factor = 1.0 / float(np.median(ratios[sure]))
-            return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(MASS_FACTOR))
+            factor = 1.0 / float(np.median(slopes[sure]))
+            return factor, bool(np.median(np.abs(np.log(slopes[sure] * factor))) < np.log(MASS_FACTOR))
     predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
     return float(np.median(predicted / subject.measured_std)), False
 
@@ -160,11 +157,12 @@ def _other_unit(subject: EffortData, joints: Sequence[int], factor: float) -> Ca
     names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(subject.joints)
     settings = gain_settings(names, subject.gains[list(joints)] * factor, is_all)
     ratio = f"1/{factor:.3g}" if factor > 1.0 else f"{1.0 / factor:.3g} times"
-    units = {"in mN m": (0.5e-3, 2e-3), "in kN m? or masses of the URDF in grams": (250.0, 4000.0)}
+    units = {
+        "in mN m": (0.5e-3, 2e-3),
+        "in kN m? or masses of the URDF in grams": (250.0, 4000.0),
+        "in A, on the motor side of the gear, or a share of what they are rated for": (1.0, np.inf),
+    }
     unit = next((unit for unit, (low, high) in units.items() if low < factor < high), "")
-    unit = unit or (
-        "in A, on the motor side of the gear, or a share of what they are rated for" if factor > 1.0 else ""
-    )
     return Cause.of("gain", names, settings, all_joints=is_all, ratio=ratio, unit=f" ({unit}?)" if unit else "")
 
 
@@ -173,13 +171,12 @@ def _gravities(subject: EffortData) -> Iterator[FaultCandidate]:
     nominal = subject.robot.gravity
     size = float(np.linalg.norm(nominal))
     right = abs(size - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY
-    fitted = subject.fitted_gravity(subject.urdf_parameters)
+    strength, fitted = size if right else STANDARD_GRAVITY, subject.fitted_gravity(subject.urdf_parameters)
     for start in (1.0, -1.0):
-        direction = start * fitted / max(float(np.linalg.norm(fitted)), 1e-9)
-        under = subject.under_gravity((size if right else STANDARD_GRAVITY) * direction)
-        refined = subject.fitted_gravity(under.links(under.nominal))
-        for gravity in (direction, refined / max(float(np.linalg.norm(refined)), 1e-9)):
-            yield _turned(subject, (size if right else STANDARD_GRAVITY) * gravity)
+        gravity = start * strength * _unit(fitted)
+        under = subject.under_gravity(gravity)
+        yield _turned(subject, gravity)
+        yield _turned(subject, strength * _unit(subject.fitted_gravity(under.links(under.nominal))))
     if not right:
         yield _turned(subject, STANDARD_GRAVITY * (nominal / size if size > 0.0 else np.array([0.0, 0.0, -1.0])))
     if size > 0.0:
@@ -187,10 +184,14 @@ def _gravities(subject: EffortData) -> Iterator[FaultCandidate]:
         yield from (FaultCandidate(corrected=read, cause=cause) for read in (without_gravity, with_gravity_added))
 
 
+def _unit(vector: FloatArray) -> FloatArray:
+    """Direction of a vector."""
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
+
+
 def _turned(subject: EffortData, gravity: FloatArray) -> FaultCandidate:
     nominal, size = subject.robot.gravity, float(np.linalg.norm(gravity))
-    cosine = float(gravity @ nominal) / max(size * float(np.linalg.norm(nominal)), 1e-9)
-    angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    angle = float(np.arccos(np.clip(_unit(gravity) @ _unit(nominal), -1.0, 1.0)))
     turned = angle > TILT
     alone = turned or abs(size - float(np.linalg.norm(nominal))) > 0.1 * size
     written = (np.round(gravity, 2) + 0.0).tolist()

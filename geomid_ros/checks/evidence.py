@@ -27,8 +27,6 @@ FRICTION = 5
 """Columns of a channel: a constant, viscous friction, dry friction that sets in at once or gradually, rotor inertia."""
 LARGEST_RESIDUAL = 0.6
 """Largest residual of a channel that follows the model, as a fraction of its standard deviation."""
-LEAST_CORRELATION = float(np.sqrt(1.0 - LARGEST_RESIDUAL**2))
-"""Correlation of a channel with the model at this residual."""
 MOST = 0.5
 """Fraction of a whole: more is most of it."""
 _SETTLED = 1e-3
@@ -212,6 +210,11 @@ def _solve_bounded(
             break
         fixed = changed
     return np.where(bounded, np.maximum(mean, 0.0), mean), free, previous
+
+
+def follows(correlations: FloatArray) -> BoolArray:
+    """True for channels that follow the model, by their correlations with it ``(C,)``."""
+    return np.asarray(correlations > np.sqrt(1.0 - LARGEST_RESIDUAL**2))
 
 
 def prior_factor(robot: Robot) -> FloatArray:

@@ -21,7 +21,6 @@ from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples, RecentMotion
 from geomid_ros.checks.transforms import transforms
 from geomid_ros.checks.unexplained import badly_explained, hint, rms
 from geomid_ros.checks.wrench_sensors import WrenchSensorCheck, can_be_checked
-from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.controller import PDController
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
@@ -76,8 +75,7 @@ class CheckTask:
             judged = CheckResult(as_faults(self._legs(excerpt)))
         if judged.findings:  # a wrong motion makes the wrench sensors look wrong, too
             return judged
-        wrong_sensors = chain.from_iterable(self._wrench(sensor, excerpt) for sensor in self.model.mounted)
-        return replace(judged, findings=tuple(wrong_sensors))
+        return replace(judged, findings=tuple(self._wrenches(excerpt)))
 
     def _legs(self, excerpt: Excerpt) -> list[Cause]:
         legs, samples = self.model.legs, excerpt.kept.samples
@@ -86,11 +84,12 @@ class CheckTask:
         causes = [*carried_weight(legs, samples), *unnamed_feet(self.model.robot, legs, samples)]
         return causes or ([] if excerpt.recent_stance is None else gyroscope(legs, excerpt.recent_stance))
 
-    def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> Iterator[RecordingFault]:
-        if excerpt.recent_motion is not None and can_be_checked(sensor):
-            name = self.sensors.get(sensor.topic, sensor.topic)
-            check = WrenchSensorCheck(self.model, sensor, name, excerpt.kept.samples, excerpt.recent_motion)
-            yield from check.findings()
+    def _wrenches(self, excerpt: Excerpt) -> Iterator[RecordingFault]:
+        samples, dense = excerpt.kept.samples, excerpt.recent_motion
+        for sensor in self.model.mounted:
+            if dense is not None and can_be_checked(sensor):
+                name = self.sensors.get(sensor.topic, sensor.topic)
+                yield from WrenchSensorCheck(self.model, sensor, name, samples, dense).findings()
 
 
 def no_external_forces(model: MeasurementModel) -> bool:

@@ -19,7 +19,7 @@ from geomid_ros.signals.ledger import Reason
 from geomid_ros.signals.message_batch import NO_MESSAGES, MessageBatch
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.settings import MESSAGES_UNTIL_DECISION
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 NOT_LATER = Reason("stamp not later than the one before", "repeated")
 FROM_THE_FUTURE, TOO_OLD = "stamp from the future", "stamp too old"
@@ -113,13 +113,29 @@ class Gate:
 
     def _pass_plain(self, stamps: IntArray, numbers: FloatArray) -> int:
         """Pass messages that continue those before, up to the first that does not. Return how many passed."""
-        if not len(stamps):
-            return 0
-        ahead = steps(stamps, self._stamp or int(stamps[0]) - 1)
-        stops = np.flatnonzero((ahead <= 0) | (ahead > self._max_gap))
-        count = int(stops[0]) if len(stops) else len(stamps)
-        self._pass(stamps[:count], numbers[:count])
-        return count
+        place = 0
+        while place < len(stamps):
+            if not self._stamp:  # the first message of all has none to continue
+                self._pass(stamps[:1], numbers[:1])
+                place = 1
+            part = slice(place, place + self._room)
+            stops = np.flatnonzero(self._suspicious(stamps[part], numbers[part]))
+            count = int(stops[0]) if len(stops) else len(stamps[part])
+            self._pass(stamps[place : place + count], numbers[place : place + count])
+            place += count
+            if len(stops):
+                break
+        return place
+
+    @property
+    def _room(self) -> int:
+        """Number of messages that can be compared at once: until something is learned of them."""
+        return MESSAGES_UNTIL_DECISION
+
+    def _suspicious(self, stamps: IntArray, numbers: FloatArray) -> BoolArray:  # noqa: ARG002
+        """True for messages ``(N,)`` that do not continue the one before, assuming that it passes."""
+        ahead = steps(stamps, self._stamp)
+        return (ahead <= 0) | (ahead > self._max_gap)
 
     def _pass(self, stamps: IntArray, numbers: FloatArray) -> None:  # noqa: ARG002 for gates that compare numbers
         """Record messages that pass: they continue the one before, or are real although they do not."""

@@ -19,7 +19,7 @@ from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, Reason, driver_error
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages
 from geomid_ros.signals.moving_base import ImuSegment
-from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MOST_WAITING, PERIOD_ROUNDING, SignalSettings
+from geomid_ros.signals.settings import MOST_WAITING, PERIOD_ROUNDING, SignalSettings
 from geomid_ros.signals.streams import Grid, HeldSegment, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -80,7 +80,6 @@ class Sampler:
         self._grid: Grid | None = None
         self._streams: dict[str, Stream[Any]] = {}
         self._waiting: deque[AcceptedMessages] = deque()
-        self._newest: dict[str, int] = {}  # newest stamp of each topic
         self._next_instant = 0
         self._pending: list[Samples] = []
         if settings.period > 0.0:
@@ -108,7 +107,6 @@ class Sampler:
         """Restart after a clock was set or positions leapt."""
         self.make_samples()
         self._waiting.clear()
-        self._newest.clear()
         self._next_instant = 0
         if self._grid is not None:
             self._motion_clock.restart()
@@ -163,10 +161,8 @@ class Sampler:
         if accepted.topic == COMMANDS and self._controller is not None:
             stamps = stamps + self._controller.delay
         self._streams[accepted.topic].push(stamps, values)
-        self._newest[accepted.topic] = int(stamps[-1])
         if accepted.topic == JOINT_STATES and self._effort_delay:
             self._streams[_EFFORTS].push(stamps - self._effort_delay, values[:, 2 * len(self._continuous) :])
-            self._newest[_EFFORTS] = int(stamps[-1])
 
     def _times(self, stamps: IntArray, values: FloatArray) -> IntArray:
         """Return the times of measurement of joint messages; note in the ledger if the stamps are others."""
@@ -233,7 +229,9 @@ class Sampler:
     def make_samples(self) -> None:
         """Compute the samples for which every topic has data, also after pauses; discard data that are too old."""
         grid, streams = self._grid, self._streams.values()
-        while grid is not None:
+        if grid is None:
+            return
+        while True:
             ranges = [stream.segment.ready() for stream in streams]
             start = max([self._next_instant, *(r.start for r in ranges)])
             instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)[
@@ -247,10 +245,8 @@ class Sampler:
                     stream.drop_before(self._next_instant)
             elif not any(stream.skip_to(instants.start) for stream in streams):
                 break
-        for name, newest in self._newest.items():
-            if grid is not None:
-                oldest = (newest - LONGEST_TOPIC_LAG) // grid.period - grid.lag
-                self._streams[name].forget(oldest)
+        for stream in streams:
+            stream.forget(grid)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:
         count, joints = len(instants), len(self._continuous)

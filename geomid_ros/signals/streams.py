@@ -18,7 +18,7 @@ from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import JointEffect, Motion
 from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
-from geomid_ros.signals.settings import MEAN_STEPS, MEAN_TOLERANCE, SAMPLES_PER_CUTOFF_PERIOD
+from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MEAN_STEPS, MEAN_TOLERANCE, SAMPLES_PER_CUTOFF_PERIOD
 from geomid_ros.types import FloatArray, IntArray
 
 _SHARPER = 4.0  # cutoff of the motion for effects, in units of the filter's
@@ -70,10 +70,12 @@ class Stream(Generic[S]):
         self.skip_to(instant)
         self.segment.drop_before(instant)
 
-    def forget(self, instant: int) -> None:
-        """Do :meth:`drop_before` if there are data that old."""
-        if len(self._segments) > 1 or self.segment.ready().start < instant:
-            self.drop_before(instant)
+    def forget(self, grid: Grid) -> None:
+        """Discard data that are so old that other topics are not waited for."""
+        if self._last is not None:
+            instant = (self._last - LONGEST_TOPIC_LAG) // grid.period - grid.lag
+            if len(self._segments) > 1 or self.segment.ready().start < instant:
+                self.drop_before(instant)
 
     def skip_to(self, instant: int) -> bool:
         """Drop the segments that end before this grid point. Return True if there was one."""
