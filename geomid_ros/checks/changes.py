@@ -12,10 +12,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.baseline_fit import EvidenceGain, by_channel
 from geomid_ros.checks.candidates import MASS_FACTOR, STEP, TILT, FaultCandidate
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.effort_data import STRETCHES, EffortData
+from geomid_ros.checks.effort_data import STRETCHES, EffortData, EvidenceGain, by_channel
 from geomid_ros.checks.evidence import MOST, PRIOR_STD, Evidence, payload_factor
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import STDS_OF_95
@@ -252,7 +251,7 @@ def _late(subject: EffortData, main: list[int], lags: FloatArray, columns: Colum
 
 def _rates(subject: EffortData) -> FloatArray:
     """Change of the fitted links' efforts for a lag of ``_MOST_LAG``, ``(N, C, 1)``."""
-    links = subject.parameters_at(subject.baseline_fit.link_errors)
+    links = subject.parameters_at(subject.baseline_fit.nominal.link_errors)
     times = (subject.next_samples.stamps - subject.samples.stamps) * 1e-9
     change = subject.with_samples(subject.next_samples).regressor @ links - subject.baseline_fit.link_efforts
     rates = np.divide(change, times[:, None], out=np.zeros_like(change), where=times[:, None] > 0.0)

@@ -10,9 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from geomid_ros.checks.baseline_fit import moving
 from geomid_ros.checks.causes import Cause
-from geomid_ros.checks.effort_data import EffortData, largest_of_unit
+from geomid_ros.checks.effort_data import EffortData, largest_of_unit, moving
 from geomid_ros.checks.evidence import LEAST_SIGMA, MOST
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.model.measurement_model import MeasurementModel

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
 from math import tau
 
 import numpy as np
@@ -28,54 +29,49 @@ class RejectedError(Exception):
         self.reason = reason
 
 
+@dataclass(eq=False)
 class JointReader:
     """Checks joint messages in the order of their stamps, and converts them to the robot's order of joints.
 
     If an effort is invalid for less than ``max_gap``, its messages are refused; if for longer, the equation of its
     joint is left out.
+
+    Attributes:
+        joints: joints of the robot, in its order.
+        gains: ``(joints,)`` factors of efforts.
+        continuous: ``(joints,)`` True for joints without limits: their positions may jump by whole turns.
+        max_gap: [ns].
+        note: receives remarks.
+        turning: ``(joints,)`` True for revolute joints: the driver causes steps of a whole turn in their positions.
     """
 
-    def __init__(
-        self,
-        joints: Sequence[str],
-        gains: FloatArray,
-        continuous: BoolArray,
-        max_gap: int,
-        note: Callable[[str], None],
-        turning: BoolArray | None = None,
-    ) -> None:
-        """
-        Args:
-            joints: joints of the robot, in its order.
-            gains: ``(joints,)`` factors of efforts.
-            continuous: ``(joints,)`` True for joints without limits: their positions may jump by whole turns.
-            max_gap: [ns].
-            note: receives remarks.
-            turning: ``(joints,)`` True for revolute joints: the driver causes steps of a whole turn in their positions.
-        """
-        self._joints = tuple(joints)
-        self._gains = gains
-        self._continuous = continuous
-        self._max_gap = max_gap
-        self._note = note
-        self._turning = np.zeros(len(joints), dtype=np.bool_) if turning is None else turning & ~continuous
+    joints: tuple[str, ...]
+    gains: FloatArray
+    continuous: BoolArray
+    max_gap: int
+    note: Callable[[str], None]
+    turning: BoolArray | None = None
+
+    def __post_init__(self) -> None:
+        none = np.zeros(len(self.joints), dtype=np.bool_)
+        self._wrapped = none if self.turning is None else self.turning & ~self.continuous
         self._noted: set[str] = set()
         self._names: tuple[str, ...] = ()
-        self._order = np.zeros(len(joints), dtype=np.int64)
-        self._saturation = SaturationDetector(len(joints))
-        self._quality = EffortFaultDetector(joints, continuous | self._turning, note)
+        self._order = np.zeros(len(self.joints), dtype=np.int64)
+        self._saturation = SaturationDetector(len(self.joints))
+        self._quality = EffortFaultDetector(self.joints, self.continuous | self._wrapped, self.note)
         self.restart()
 
     def restart(self) -> None:
         """Restart after a clock was set or positions leapt."""
         self._stamp = 0
-        self._last = np.full((3, len(self._joints)), np.inf)  # of the last message, before efforts were checked
+        self._last = np.full((3, len(self.joints)), np.inf)  # of the last message, before efforts were checked
         self._raw: FloatArray | None = None  # its positions before turns were added
-        self._turns = np.zeros(len(self._joints))  # whole turns that are added
+        self._turns = np.zeros(len(self.joints))  # whole turns that are added
         self._came, self._speed = 0, 0.0  # stamp and speed of the last message
-        self._seen = np.zeros(len(self._joints), dtype=np.bool_)  # joints that have had a nonzero effort
+        self._seen = np.zeros(len(self.joints), dtype=np.bool_)  # joints that have had a nonzero effort
         self._made_up = False  # True while all efforts are zero for lack of a sensor
-        self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
+        self._effort_stamps = np.zeros(len(self.joints), dtype=np.int64)
         self._saturation.restart()
 
     @property
@@ -88,8 +84,8 @@ class JointReader:
         """Joints whose equations are left out, as their efforts have been invalid for long."""
         if not self._stamp:
             return ()
-        lost = (self._effort_stamps == 0) | (self._stamp - self._effort_stamps > self._max_gap)
-        return tuple(joint for joint, is_lost in zip(self._joints, lost, strict=True) if is_lost)
+        lost = (self._effort_stamps == 0) | (self._stamp - self._effort_stamps > self.max_gap)
+        return tuple(joint for joint, is_lost in zip(self.joints, lost, strict=True) if is_lost)
 
     def numbers(self, block: Block) -> tuple[FloatArray, AnyArray]:
         """Read messages, each by itself, into the robot's order of joints.
@@ -99,7 +95,7 @@ class JointReader:
             the reason why it is unusable by itself, or None.
         """
         count, names = len(block.stamps), block.names
-        vector, refusals = np.full((count, 3, len(self._joints)), np.nan), np.full(count, None)
+        vector, refusals = np.full((count, 3, len(self.joints)), np.nan), np.full(count, None)
         try:
             order = self._order_of(names)
             _check_lengths(block)
@@ -111,13 +107,13 @@ class JointReader:
         for kind, values in enumerate(block.arrays):
             if values.shape[1]:
                 vector[:, kind] = values[:, order]
-        vector[:, 2] *= self._gains
+        vector[:, 2] *= self.gains
         good = plausible(vector)
         invalid = ~good[:, 1] & ~np.isnan(vector[:, 1])  # drivers without measured velocities send NaN
         for row in np.flatnonzero(invalid.any(axis=1)):
-            refusals[row] = f"velocity of '{self._joints[int(np.argmax(invalid[row]))]}' not finite"
+            refusals[row] = f"velocity of '{self.joints[int(np.argmax(invalid[row]))]}' not finite"
         for row in np.flatnonzero(~good[:, 0].all(axis=1)):
-            refusals[row] = f"position of '{self._joints[int(np.argmin(good[row, 0]))]}' not finite"
+            refusals[row] = f"position of '{self.joints[int(np.argmin(good[row, 0]))]}' not finite"
         vector[~good] = np.nan
         return vector, refusals
 
@@ -155,29 +151,29 @@ class JointReader:
             if len(index) != len(names):
                 duplicate = next(name for place, name in enumerate(names) if index[name] != place)
                 raise RejectedError(driver_error(f"joint '{duplicate}' is named twice"))
-            if missing := missing_joint(self._joints, names):
+            if missing := missing_joint(self.joints, names):
                 raise RejectedError(missing)
-            if extra := [name for name in names if name not in self._joints]:
+            if extra := [name for name in names if name not in self.joints]:
                 listing = ", ".join(map(repr, extra))
                 self._note_once(Reason(f"ignored, no moving joints of the robot: {listing}", "note"))
             self._names = names
-            self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
+            self._order = np.array([index[joint] for joint in self.joints], dtype=np.int64)
         return self._order
 
     def _note_once(self, remark: str) -> None:
-        if remark not in self._noted and len(self._noted) < len(self._joints) + 10:
+        if remark not in self._noted and len(self._noted) < len(self.joints) + 10:
             self._noted.add(remark)
-            self._note(remark)
+            self.note(remark)
 
     def _unwind(self, positions: FloatArray) -> None:
         """Add whole turns to positions that jump by them, for continuous joints and for drivers that wrap."""
         moved = steps(positions, positions[0] if self._raw is None else self._raw)
         self._raw = positions[-1].copy()
         turns = np.rint(moved / tau)
-        wraps = self._turning & (turns != 0.0) & (np.abs(moved - tau * turns) < _UNLIKE_A_TURN)
+        wraps = self._wrapped & (turns != 0.0) & (np.abs(moved - tau * turns) < _UNLIKE_A_TURN)
         for joint in np.flatnonzero(wraps.any(axis=0)):
-            self._note_once(Reason(f"positions of '{self._joints[joint]}' {UNWRAPPED}", "told"))
-        added = self._turns - np.cumsum(np.where(self._continuous | wraps, turns, 0.0), axis=0)
+            self._note_once(Reason(f"positions of '{self.joints[int(joint)]}' {UNWRAPPED}", "told"))
+        added = self._turns - np.cumsum(np.where(self.continuous | wraps, turns, 0.0), axis=0)
         positions += tau * added
         self._turns = added[-1]
 
@@ -217,9 +213,9 @@ class JointReader:
         latest = np.concatenate([self._effort_stamps[None], np.where(measured, stamps[:, None], 0)])
         latest = np.maximum.accumulate(latest)
         self._effort_stamps = latest[-1]
-        lost = ~measured & (latest[:-1] > 0) & (stamps[:, None] - latest[:-1] <= self._max_gap)
+        lost = ~measured & (latest[:-1] > 0) & (stamps[:, None] - latest[:-1] <= self.max_gap)
         for row in np.flatnonzero(lost.any(axis=1)):
-            name = self._joints[int(np.argmax(lost[row]))]
+            name = self.joints[int(np.argmax(lost[row]))]
             if saturated[row].any():
                 refusals[row] = f"effort of '{name}' saturated: constant at its largest value"
             elif zeros[row]:
@@ -248,23 +244,25 @@ class JointReader:
         return made_up
 
 
+@dataclass(eq=False)
 class LockedJoints:
-    """Joints that count as fixed at zero, and what messages say of them nevertheless."""
+    """Joints that count as fixed at zero, and what messages say of them nevertheless.
 
-    def __init__(self, joints: Collection[str], apart: float, note: Callable[[str], None]) -> None:
-        """
-        Args:
-            joints: their names.
-            apart: distance between two positions that differ [rad, m].
-            note: receives remarks.
-        """
-        self._joints, self._apart, self._note = frozenset(joints), apart, note
-        self._first: dict[str, float] = {}  # where they stand
-        self._moving: set[str] = set()
+    Attributes:
+        joints: their names.
+        apart: distance between two positions that differ [rad, m].
+        note: receives remarks.
+    """
+
+    joints: Collection[str]
+    apart: float
+    note: Callable[[str], None]
+    _first: dict[str, float] = field(default_factory=dict)  # where they stand
+    _moving: set[str] = field(default_factory=set)
 
     def watch(self, block: Block) -> None:
         """Note which of the joints do not stand at zero in joint messages, and which of them move."""
-        for joint in sorted(self._joints.intersection(block.names) - self._moving):
+        for joint in sorted({*self.joints}.intersection(block.names) - self._moving):
             place = block.names.index(joint)
             positions = block.arrays[0][:, place : place + 1]
             positions = positions[plausible(positions)]
@@ -273,16 +271,16 @@ class LockedJoints:
             if joint not in self._first:
                 self._first[joint] = first = float(positions[0])
                 if self._are_apart(first, 0.0):
-                    self._note(Reason(f"joint '{joint}' is locked at zero, but stands at {first:.3g}", "told"))
+                    self.note(Reason(f"joint '{joint}' is locked at zero, but stands at {first:.3g}", "told"))
             if np.any(self._are_apart(positions, self._first[joint])):
                 self._moving.add(joint)
                 sentence = f"joint '{joint}' is locked at zero, but moves: take it out of locked_joints (--lock)"
-                self._note(Reason(sentence, "driver error"))
+                self.note(Reason(sentence, "driver error"))
 
     def _are_apart(self, positions: FloatArray | float, other: float) -> BoolArray:
         """True for positions that differ from another one by more than whole turns."""
         distance = np.abs(np.subtract(positions, other))
-        return np.asarray(np.abs(distance - tau * np.rint(distance / tau)) > self._apart)
+        return np.asarray(np.abs(distance - tau * np.rint(distance / tau)) > self.apart)
 
 
 def _check_lengths(block: Block) -> None:

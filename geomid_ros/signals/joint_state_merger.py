@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -21,39 +22,32 @@ Part: TypeAlias = tuple[str, ...]
 """Joints of one publisher, in the robot's order."""
 
 
+@dataclass(eq=False)
 class JointStateMerger:
     """Merges messages of several publishers, each with some of the joints, at the stamps of the fastest.
 
     The others' numbers are interpolated linearly between two messages. These must be no further apart than ``max_gap``
     or than their period explains. Efforts with a period longer than ``resolved`` are left out: positions are smooth
     between two messages, efforts need not be.
+
+    Attributes:
+        joints: joints of the robot.
+        max_gap: [ns].
+        resolved: [ns] longest period at which efforts can be filtered.
+        make_reader: makes the reader of a part's messages.
+        note: receives remarks on parts that are too slow.
+        merges: True if there are several publishers; otherwise all messages have all joints.
     """
 
-    def __init__(
-        self,
-        joints: Sequence[str],
-        max_gap: int,
-        resolved: int,
-        make_reader: Callable[[Part], JointReader],
-        note: Callable[[str], None],
-        merges: bool = True,
-    ) -> None:
-        """
-        Args:
-            joints: joints of the robot.
-            max_gap: [ns].
-            resolved: [ns] longest period at which efforts can be filtered.
-            make_reader: makes the reader of a part's messages.
-            note: receives remarks on parts that are too slow.
-            merges: True if there are several publishers; otherwise all messages have all joints.
-        """
-        self._joints = tuple(joints)
-        self._max_gap = max_gap
-        self._resolved = resolved
-        self._make_reader = make_reader
-        self._note = note
-        self.merges = merges
-        self.readers: dict[Part, JointReader] = {} if merges else {self._joints: make_reader(self._joints)}
+    joints: tuple[str, ...]
+    max_gap: int
+    resolved: int
+    make_reader: Callable[[Part], JointReader]
+    note: Callable[[str], None]
+    merges: bool = True
+
+    def __post_init__(self) -> None:
+        self.readers: dict[Part, JointReader] = {} if self.merges else {self.joints: self.make_reader(self.joints)}
         self._periods: dict[Part, int] = {}  # [ns] of all parts, once known
         self.restart()
 
@@ -73,7 +67,7 @@ class JointStateMerger:
             if newest - reader.stamp <= max(SILENT, self._longest_gap(part))
             for joint in part
         ]
-        return tuple(joint for joint in self._joints if joint not in received) if newest else ()
+        return tuple(joint for joint in self.joints if joint not in received) if newest else ()
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
@@ -84,7 +78,7 @@ class JointStateMerger:
 
     def part(self, names: Sequence[str]) -> Part:
         """Return the part of a message with these names. Raises RejectedError if it is of several parts, or of none."""
-        part = tuple(joint for joint in self._joints if joint in set(names)) if self.merges else self._joints
+        part = tuple(joint for joint in self.joints if joint in set(names)) if self.merges else self.joints
         if part in self.readers:
             return part
         if not part:
@@ -92,7 +86,7 @@ class JointStateMerger:
         shared = next((joint for other in self.readers for joint in other if joint in part), None)
         if shared is not None:
             raise RejectedError(driver_error(f"joint '{shared}' comes with others than before"))
-        self.readers = {**self.readers, part: self._make_reader(part)}
+        self.readers = {**self.readers, part: self.make_reader(part)}
         self._waiting[part] = deque()
         return part
 
@@ -118,7 +112,7 @@ class JointStateMerger:
 
     def _measure_periods(self) -> None:
         """Measure the periods of the parts, once all joints have been received for long enough."""
-        if sum(map(len, self._waiting)) < len(self._joints):
+        if sum(map(len, self._waiting)) < len(self.joints):
             return
         firsts = {part: entries[0][0] for part, entries in self._waiting.items() if len(entries) > 1}
         newest = max(entries[-1][0] for entries in self._waiting.values() if entries)
@@ -131,14 +125,14 @@ class JointStateMerger:
             if self._is_slow(part):
                 named = ", ".join(map(repr, part))
                 rate = 1e9 / self._periods[part]
-                self._note(f"only {rate:.1f} messages per second of {named}: the efforts there are left out")
+                self.note(f"only {rate:.1f} messages per second of {named}: the efforts there are left out")
 
     def _is_slow(self, part: Part) -> bool:
         """True if efforts come too seldom to be filtered."""
-        return self._periods[part] > self._resolved
+        return self._periods[part] > self.resolved
 
     def _longest_gap(self, part: Part) -> int:
-        return max(self._max_gap, int(MISSED * self._periods.get(part, 0)))
+        return max(self.max_gap, int(MISSED * self._periods.get(part, 0)))
 
     def _is_known(self, part: Part, stamp: int) -> bool:
         """True if a part has numbers at a stamp that its messages have reached."""
@@ -148,12 +142,12 @@ class JointStateMerger:
         )
 
     def _at(self, stamp: int) -> FloatArray:
-        result = np.empty((3, len(self._joints)))
+        result = np.empty((3, len(self.joints)))
         for part, entries in self._waiting.items():
             numbers = _between(entries, stamp)
             if self._is_slow(part):
                 numbers = np.concatenate([numbers[:2], np.full_like(numbers[2:], np.nan)])
-            result[:, [self._joints.index(joint) for joint in part]] = numbers
+            result[:, [self.joints.index(joint) for joint in part]] = numbers
         return result.ravel()
 
 

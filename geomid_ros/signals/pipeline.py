@@ -126,7 +126,7 @@ class SignalPipeline:
         )
         self._stance = Stance(loads, settings.cutoff) if loads is not None else None
 
-    def _new_reader(self, joints: Sequence[str]) -> JointReader:
+    def _new_reader(self, joints: Part) -> JointReader:
         places = [self._joints.index(joint) for joint in joints]
         note = partial(self.ledger.note, JOINT_STATES)
         return JointReader(

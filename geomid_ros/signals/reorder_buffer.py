@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -166,19 +166,20 @@ class Gate:
         return None if not final else wrong if back and count == 1 else real
 
 
+@dataclass(eq=False)
 class ReorderBuffer:
-    """Admits the messages of several sources, with a gate for each."""
+    """Admits the messages of several sources, with a gate for each.
 
-    def __init__(self, new_gate: Callable[[Source], Gate], note: Callable[[str, str], None]) -> None:
-        """
-        Args:
-            new_gate: makes the gate of a source.
-            note: ``note(topic, remark)`` receives changes and doubts as they are found.
-        """
-        self._new_gate, self._note = new_gate, note
-        self._gates: dict[Source, Gate] = {}
-        self._decided: dict[Source, MessageBatch] = {}  # decided messages that wait behind undecided ones
-        self._notes: dict[int, tuple[Source, GateDecision]] = {}  # remarks, by the arrival index of their message
+    Attributes:
+        new_gate: makes the gate of a source.
+        note: ``note(topic, remark)`` receives changes and doubts as they are found.
+    """
+
+    new_gate: Callable[[Source], Gate]
+    note: Callable[[str, str], None]
+    _gates: dict[Source, Gate] = field(default_factory=dict)
+    _decided: dict[Source, MessageBatch] = field(default_factory=dict)  # decided ones that wait behind undecided ones
+    _notes: dict[int, tuple[Source, GateDecision]] = field(default_factory=dict)  # by their message's arrival index
 
     @property
     def waiting_counts(self) -> Counter[str]:
@@ -200,14 +201,14 @@ class ReorderBuffer:
             leapt.
         """
         for source in [source for source in new if source not in self._gates]:
-            self._gates[source], self._decided[source] = self._new_gate(source), NO_MESSAGES
+            self._gates[source], self._decided[source] = self.new_gate(source), NO_MESSAGES
         for source in self._gates:
             self._decide(source, new.get(source, NO_MESSAGES), newest)
         parts = []
         while (place := self._change(newest)) < self._end(newest):
             parts.append(self._before(place))
             changed, answer = self._notes.pop(place)
-            self._note(changed[0], answer.noted)
+            self.note(changed[0], answer.noted)
             self._reconsider(changed, place, newest)
         return [*parts, self._before(self._end(newest))]
 
@@ -246,7 +247,7 @@ class ReorderBuffer:
         """Release the decided messages that arrived before this one."""
         for noted in sorted(index for index in self._notes if index < place):
             (topic, _), answer = self._notes.pop(noted)
-            self._note(topic, answer.noted)
+            self.note(topic, answer.noted)
         released = {}
         for source, decided in self._decided.items():
             released[source], self._decided[source] = decided.split(place)
