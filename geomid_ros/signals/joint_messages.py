@@ -21,14 +21,6 @@ UNWRAPPED = "jump by whole turns: unwrapped"
 FROZEN = Reason("frozen: all numbers are those of the message before, though the robot moves", "repeated")
 
 
-class RejectedError(Exception):
-    """A message is unusable, for the ``reason`` that is counted."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
-
-
 @dataclass(eq=False)
 class JointReader:
     """Checks joint messages in the order of their stamps, and converts them to the robot's order of joints.
@@ -94,19 +86,16 @@ class JointReader:
             Positions, velocities and efforts ``(N, 3, joints)``, NaN where not measured; and for each message ``(N,)``
             the reason why it is unusable by itself, or None.
         """
-        count, names = len(block.stamps), block.names
+        count = len(block.stamps)
         vector, refusals = np.full((count, 3, len(self.joints)), np.nan), np.full(count, None)
-        try:
-            order = self._order_of(names)
-            _check_lengths(block)
-        except RejectedError as error:
-            refusals[:] = error.reason
+        if reason := self._set_order(block.names) or _wrong_length(block):
+            refusals[:] = reason
             return vector, refusals
         if not block.arrays[1].shape[1]:
             self._note_once("no velocities: positions are differentiated")
         for kind, values in enumerate(block.arrays):
             if values.shape[1]:
-                vector[:, kind] = values[:, order]
+                vector[:, kind] = values[:, self._order]
         vector[:, 2] *= self.gains
         good = plausible(vector)
         invalid = ~good[:, 1] & ~np.isnan(vector[:, 1])  # drivers without measured velocities send NaN
@@ -142,23 +131,24 @@ class JointReader:
             self._quality.add(stamps[good], values[good, 0], values[good, 2])
         return values.reshape(len(stamps), -1), refusals
 
-    def _order_of(self, names: tuple[str, ...]) -> IntArray:
-        """Places of the robot's joints among a message's names. Most messages have the same names as the one before."""
+    def _set_order(self, names: tuple[str, ...]) -> str:
+        """Find the places of the robot's joints among a message's names. Most messages have the same names as the one
+        before. Return why the names are not usable; empty if they are."""
         if not names:
-            raise RejectedError(driver_error("no joint names"))
+            return driver_error("no joint names")
         if self._names != names:
             index = {name: place for place, name in enumerate(names)}
             if len(index) != len(names):
                 duplicate = next(name for place, name in enumerate(names) if index[name] != place)
-                raise RejectedError(driver_error(f"joint '{duplicate}' is named twice"))
+                return driver_error(f"joint '{duplicate}' is named twice")
             if missing := missing_joint(self.joints, names):
-                raise RejectedError(missing)
+                return missing
             if extra := [name for name in names if name not in self.joints]:
                 listing = ", ".join(map(repr, extra))
                 self._note_once(Reason(f"ignored, no moving joints of the robot: {listing}", "note"))
             self._names = names
             self._order = np.array([index[joint] for joint in self.joints], dtype=np.int64)
-        return self._order
+        return ""
 
     def _note_once(self, remark: str) -> None:
         if remark not in self._noted and len(self._noted) < len(self.joints) + 10:
@@ -283,8 +273,10 @@ class LockedJoints:
         return np.asarray(np.abs(distance - tau * np.rint(distance / tau)) > self.apart)
 
 
-def _check_lengths(block: Block) -> None:
+def _wrong_length(block: Block) -> str:
+    """Say which array has another length than there are names; empty if none has."""
     names = len(block.names)
     for kind, values in zip(("position", "velocity", "effort"), block.arrays, strict=True):
         if values.shape[1] not in ((names,) if kind == "position" else (0, names)):
-            raise RejectedError(driver_error(f"{kind} has {values.shape[1]} entries for {names} names"))
+            return driver_error(f"{kind} has {values.shape[1]} entries for {names} names")
+    return ""

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.signals.clocks import MISSED
-from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.ledger import driver_error
 from geomid_ros.signals.settings import MOST_WAITING
 from geomid_ros.types import FloatArray
@@ -76,16 +76,16 @@ class JointStateMerger:
         slow = [joint for part in self._periods if self._is_slow(part) for joint in part]
         return tuple(dict.fromkeys([*failed, *slow]))
 
-    def part(self, names: Sequence[str]) -> Part:
-        """Return the part of a message with these names. Raises RejectedError if it is of several parts, or of none."""
+    def part(self, names: Sequence[str]) -> Part | str:
+        """Return the part of a message with these names, or the reason why it is of several parts, or of none."""
         part = tuple(joint for joint in self.joints if joint in set(names)) if self.merges else self.joints
         if part in self.readers:
             return part
         if not part:
-            raise RejectedError("none of the robot's joints" if names else driver_error("no joint names"))
+            return "none of the robot's joints" if names else driver_error("no joint names")
         shared = next((joint for other in self.readers for joint in other if joint in part), None)
         if shared is not None:
-            raise RejectedError(driver_error(f"joint '{shared}' comes with others than before"))
+            return driver_error(f"joint '{shared}' comes with others than before")
         self.readers = {**self.readers, part: self.make_reader(part)}
         self._waiting[part] = deque()
         return part

@@ -205,8 +205,8 @@ class Sampler:
         )
 
     def _open_streams(self, grid: Grid) -> None:
-        self._joint_stream = Stream(self._max_gap, partial(JointSegment, grid, self._entries))
-        segments: dict[str, Callable[[], Any]] = dict.fromkeys(self._wrenches, partial(VectorSegment, grid))
+        segments: dict[str, Callable[[], Any]] = {JOINT_STATES: partial(JointSegment, grid, self._entries)}
+        segments |= dict.fromkeys(self._wrenches, partial(VectorSegment, grid))
         if self._effort_delay:
             segments[_EFFORTS] = partial(VectorSegment, grid)
         if self._controller is not None:
@@ -215,8 +215,7 @@ class Sampler:
             segments[IMU] = partial(ImuSegment, grid, self._mount)
         elif self._base is not None:
             segments[ODOM] = partial(PoseSegment, grid)
-        streams = {topic: Stream(self._max_gap, segment) for topic, segment in segments.items()}
-        self._streams = {JOINT_STATES: self._joint_stream, **streams}
+        self._streams = {topic: Stream(self._max_gap, segment) for topic, segment in segments.items()}
 
     def collect(self) -> Samples | None:
         """Return the samples that became ready since the last call, oldest first; None if there are none."""
@@ -249,19 +248,19 @@ class Sampler:
             stream.forget(grid)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:
-        count, joints = len(instants), len(self._continuous)
-        parts = self._joint_stream.segment.filtered(instants)
-        value, first, second = (part.reshape(count, 3, joints) for part in parts)
+        count, segments = len(instants), {topic: stream.segment for topic, stream in self._streams.items()}
+        motion = segments[JOINT_STATES]
+        value, first, second = (part.reshape(count, 3, -1) for part in motion.filtered(instants))
         position, velocity, acceleration = value[:, 0], first[:, 0], second[:, 0]
         if self._continuous.any():
             position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         sums = self._velocities.add(value[:, 1], velocity)
         if remark := self._velocities.remark():
             self._ledger.note(JOINT_STATES, remark)
-        effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
-        effects, commands = self._joint_stream.segment.effects(instants), np.zeros((count, 4, 0))
+        effort = segments[_EFFORTS].filtered(instants)[0] if self._effort_delay else value[:, 2]
+        effects, commands = motion.effects(instants), np.zeros((count, 4, 0))
         if self._controller is not None:
-            ref, rates, _ = (part.reshape(count, 3, -1) for part in self._streams[COMMANDS].segment.filtered(instants))
+            ref, rates, _ = (part.reshape(count, 3, -1) for part in segments[COMMANDS].filtered(instants))
             commands = np.concatenate([ref, effort[:, None]], axis=1)
             # The controller acts on these set-points, and on the velocity that its driver sends.
             sent = np.where(self._velocities.are_derivatives(value[:, 1], sums), value[:, 1], velocity)
@@ -271,10 +270,10 @@ class Sampler:
                     effects[:, self._entries.of(column)[0]] = self._controller.rate(rates)
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
         if self._base is not None:
-            pose, base_velocity, base_acceleration = self._streams[self._base].segment.filtered(instants)
+            pose, base_velocity, base_acceleration = segments[self._base].filtered(instants)
         wrenches = np.zeros((count, len(self._wrenches), 6))
         for index, topic in enumerate(self._wrenches):
-            wrenches[:, index] = self._streams[topic].segment.filtered(instants)[0]
+            wrenches[:, index] = segments[topic].filtered(instants)[0]
         samples = Samples(
             stamps=np.array(instants) * grid.period,
             position=position,

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.signals.joint_messages import JointReader, LockedJoints, RejectedError
+from geomid_ros.signals.joint_messages import JointReader, LockedJoints
 from geomid_ros.signals.joint_state_merger import JointStateMerger
 from geomid_ros.signals.message_batch import plausible
 from geomid_ros.signals.messages import Block
 
-from .feeding import START, read
+from .feeding import START, RejectedError, read
 from .sent import JointMessage
 
 NAMES = ("a", "b")
@@ -201,8 +201,7 @@ def test_a_joint_comes_with_the_same_others() -> None:
         ("x", "none of the"),
         ("", "no joint names"),
     ):
-        with pytest.raises(RejectedError, match=said):
-            parts.part(tuple(names))
+        assert said in parts.part(tuple(names))
 
 
 def test_efforts_that_are_held_are_the_driver_s_fault_and_told_once() -> None:
