@@ -122,11 +122,11 @@ class JointGate(Gate):
         if len(stamps) <= AHEAD and not final:
             return None
         if self._clock_was_set(stamps, numbers):
-            return GateDecision(noted=CLOCK_SET, begins=True)
+            return GateDecision(1, noted=CLOCK_SET, begins=True)
         if stamps[0] <= self._stamp:
             self._late = int(stamps[0])
             return in_order(stamps, numbers, final=final)
-        return GateDecision(noted=LEAP, begins=True) if self._position_leaps(stamps, numbers) else GateDecision()
+        return GateDecision(1, noted=LEAP, begins=True) if self._position_leaps(stamps, numbers) else GateDecision(1)
 
     @staticmethod
     def _spike(effort: str, count: int, elapsed: float) -> GateDecision:
@@ -136,7 +136,7 @@ class JointGate(Gate):
             return GateDecision(count, refused=f"{effort} {SPIKE}")
         if count == 1 and elapsed <= 2.0 * SHORTEST_CONTACT:
             return GateDecision(count, refused=f"{effort} {SPIKE_OR_CONTACT}")
-        return GateDecision(noted=Reason(f"{effort} {SPIKE_OR_CONTACT}: kept", "told"))
+        return GateDecision(1, noted=Reason(f"{effort} {SPIKE_OR_CONTACT}: kept", "told"))
 
     def _early(self, stamps: IntArray, length: int) -> str:
         """EARLY if the first ``length`` stamps are ahead of the next two, which continue the last good one; else

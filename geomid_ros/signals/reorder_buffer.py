@@ -38,7 +38,7 @@ class GateDecision:
     """Decision on the first ``count`` suspicious messages: ``refused`` for a reason, or real. ``noted`` is a remark on
     the first; if it ``begins`` a new segment, nothing is compared across it."""
 
-    count: int = 1
+    count: int
     refused: str = ""
     noted: str = ""
     begins: bool = False
@@ -151,9 +151,9 @@ class Gate:
         first, *later = stamps.tolist()
         back = first <= self._stamp
         if self._stamp - self._max_gap <= first <= self._stamp:
-            return GateDecision(refused=NOT_LATER)
-        wrong = GateDecision(refused=TOO_OLD if back else FROM_THE_FUTURE)
-        real = GateDecision(noted=SET_BACK, begins=True) if back else GateDecision(noted=PAUSE)
+            return GateDecision(1, refused=NOT_LATER)
+        wrong = GateDecision(1, refused=TOO_OLD if back else FROM_THE_FUTURE)
+        real = GateDecision(1, noted=SET_BACK, begins=True) if back else GateDecision(1, noted=PAUSE)
         last, count = first, 1
         for stamp in later:
             if (stamp >= self._stamp - self._max_gap) if back else (stamp < first - self._max_gap):

@@ -18,7 +18,7 @@ from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import JointEffect, Motion
 from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
-from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MEAN_STEPS, MEAN_TOLERANCE, SAMPLES_PER_CUTOFF_PERIOD
+from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MEAN_STEPS, SAMPLES_PER_CUTOFF_PERIOD
 from geomid_ros.types import FloatArray, IntArray
 
 _SHARPER = 4.0  # cutoff of the motion for effects, in units of the filter's
@@ -268,8 +268,6 @@ class PoseSegment(VectorSegment):
             logs = np.einsum("ni,nij->nj", weights, se3.relative_log(reference, poses)[nodes])
             value, velocity, acceleration = self._grid.kernels @ logs
             reference = se3.compose_exp(reference, value)
-            if float(np.linalg.norm(value)) < MEAN_TOLERANCE:
-                break
         return reference, velocity, acceleration
 
     def drop_before(self, instant: int) -> None:
