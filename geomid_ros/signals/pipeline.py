@@ -22,8 +22,7 @@ from geomid_ros.model.controller import PDController
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_gate import JointGate
-from geomid_ros.signals.joint_messages import JointReader, LockedJoints
-from geomid_ros.signals.joint_state_merger import SILENT, JointStateMerger, Part
+from geomid_ros.signals.joint_messages import SILENT, JointReader, JointStateMerger, LockedJoints, Part
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.message_batch import (
     NO_STAMP,

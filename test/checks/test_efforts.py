@@ -13,8 +13,8 @@ import pytest
 from estimation.arms import Case, Motion, arm, efforts, motion, samples, shipped, truth
 
 from geomid_ros.checks.causes import Cause, RecordingFault
-from geomid_ros.checks.efforts import _without_sign
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
+from geomid_ros.checks.transforms import _without_sign
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
