@@ -7,7 +7,7 @@ named if that repeats: in every recording, or in both halves of a single one.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from types import EllipsisType
 
@@ -34,58 +34,28 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CandidateFit:
-    """Evaluation of a recording with a candidate undone.
-
-    Attributes:
-        log_evidence: log evidence of the measured numbers.
-        sigmas: ``(C,)`` of the residuals, in standard deviations of the measured channels.
-        estimates, deviations: ``(k,)`` sizes that were estimated with it, and their standard deviations.
-    """
-
-    log_evidence: float
-    sigmas: FloatArray
-    estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
-    deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
-
-    @staticmethod
-    def of(
-        corrected: EffortData, units: FloatArray, found: Evidence | None = None, **estimated: FloatArray
-    ) -> CandidateFit:
-        """Evaluate corrected data.
-
-        Args:
-            corrected: with the candidate undone.
-            units: ``(C,)`` one standard deviation of the measured numbers, in units of the corrected efforts.
-            found: its evidence in these units, by default without further unknowns.
-            **estimated: see :class:`CandidateFit`.
-        """
-        found = corrected.in_units(units).nominal if found is None else found
-        return CandidateFit(log_evidence=found.log_evidence, sigmas=found.sigmas, **estimated)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class FaultCandidate:
     """A possible fault.
 
     Attributes:
-        cause: its cause, or a function of the estimates that makes it.
-        channels: the channels that it changes, all by default.
+        cause: its cause, or a function that makes it of the evidence with the candidate undone.
         corrected: reads a subject with the candidate undone; also ranks the candidates of a row.
-        fit_corrected: evaluates a subject with the candidate undone, where another reading is not enough.
-        sizes: ``(C,)`` sizes of the factors on efforts that undo it.
+        fit_corrected: evaluates a subject with the candidate undone, where another reading is not enough; in units of
+            the measured numbers, see :meth:`EffortData.in_units`.
+        sizes: ``(C,)`` sizes of the factors on efforts that undo it, one by default.
         sources: ``(C,)`` the measured channel of each evaluated one.
+        changes_all: True if it changes all channels, not only those of its places.
         may_be_named: True if it may be named; otherwise it only explains what others would be named for.
         needs_no_evidence: True if other knowledge than the evidence settles it.
         begins_during_recording: True if it begins during the recording: then alternate stretches of time are its parts.
     """
 
-    cause: Cause | Callable[[CandidateFit], Cause]
-    channels: Sequence[int] | EllipsisType = ...
+    cause: Cause | Callable[[Evidence], Cause]
     corrected: Callable[[EffortData], EffortData] | None = None
-    fit_corrected: Callable[[EffortData], CandidateFit] | None = None
-    sizes: FloatArray | float = 1.0
+    fit_corrected: Callable[[EffortData], Evidence] | None = None
+    sizes: FloatArray | None = None
     sources: IntArray | EllipsisType = ...
+    changes_all: bool = False
     may_be_named: bool = True
     needs_no_evidence: bool = False
     begins_during_recording: bool = False
@@ -94,29 +64,32 @@ class FaultCandidate:
         """Resemblance of the reading and the prediction, see :attr:`EffortData.resemblance`."""
         return np.inf if self.corrected is None else self.corrected(few).resemblance
 
-    def evaluate(self, subject: EffortData) -> CandidateFit:
+    def evaluate(self, subject: EffortData) -> Evidence:
         """Evaluate a subject with the candidate undone."""
         if self.fit_corrected is not None:
             return self.fit_corrected(subject)
         read = subject if self.corrected is None else self.corrected(subject)
-        return CandidateFit.of(read, self.sizes * subject.measured_std[self.sources])
+        units = subject.measured_std[self.sources]
+        return read.in_units(units if self.sizes is None else self.sizes * units).nominal
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateTest:
-    """A candidate that was evaluated on a subject."""
+    """A candidate that is evaluated on a subject."""
 
     candidate: FaultCandidate
     subject: EffortData
-    fit: CandidateFit
-    cause: Cause
 
-    @staticmethod
-    def of(candidate: FaultCandidate, subject: EffortData) -> CandidateTest:
-        """Evaluate a candidate."""
-        judged = candidate.evaluate(subject)
-        cause = candidate.cause
-        return CandidateTest(candidate, subject, judged, cause if isinstance(cause, Cause) else cause(judged))
+    @cached_property
+    def fit(self) -> Evidence:
+        """Evidence with the candidate undone."""
+        return self.candidate.evaluate(self.subject)
+
+    @cached_property
+    def cause(self) -> Cause:
+        """Its cause."""
+        cause = self.candidate.cause
+        return cause if isinstance(cause, Cause) else cause(self.fit)
 
     @property
     def gain(self) -> float:
@@ -137,8 +110,9 @@ class CandidateTest:
         """True if it repeats and makes no channel much worse, or needs no evidence."""
         if self.candidate.needs_no_evidence:
             return True
-        better = self.channel_gains[self.candidate.channels]
-        return -float(np.sum(better, where=better < 0.0)) <= LEAST_SIGMA * self.gain and self.repeats
+        better = self.channel_gains
+        worse = (better < 0.0) & (self.candidate.changes_all | np.isin(self.subject.names, self.cause.places))
+        return -float(np.sum(better, where=worse)) <= LEAST_SIGMA * self.gain and self.repeats
 
     @property
     def channel_gains(self) -> FloatArray:
@@ -155,7 +129,7 @@ class CandidateTest:
         judged = self.candidate.evaluate(part)
         differences = np.abs(judged.estimates - self.fit.estimates)
         # Noise that correlates with friction makes sizes less certain than their deviations: signs have to agree.
-        allowed = np.maximum(np.abs(self.fit.estimates), STDS_OF_95 * judged.deviations)
+        allowed = np.maximum(np.abs(self.fit.estimates), STDS_OF_95 * judged.estimate_deviations)
         return judged.log_evidence > part.nominal.log_evidence and bool(np.all(differences <= allowed))
 
 
@@ -190,8 +164,8 @@ def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Fau
         nominal: the evidence that nothing is wrong.
     """
     ordered = sorted(tried, key=lambda one: -one.gain)
-    above = {one: probabilities([one.gain], count)[0] > PROBABLE for one in ordered}
-    probable = [one for one in ordered if above[one] and one.candidate.may_be_named]
+    above = [one for one in ordered if is_probable(one.gain, count)]
+    probable = [one for one in above if one.candidate.may_be_named]
     doubted = _doubted(probable)
     unshared = [one for one in ordered if not one.candidate.may_be_named or not one.shares_joints(doubted)]
     likely = _most_probable(unshared, count)
@@ -200,9 +174,7 @@ def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Fau
     ]
     # A cause common to all joints precedes one for each.
     best = max(causes, key=lambda one: len(one.cause.places), default=None)
-    level = next(
-        (one.cause for one in ordered if above[one] and one.cause.settings and not one.candidate.may_be_named), None
-    )
+    level = next((one.cause for one in above if one.cause.settings and not one.candidate.may_be_named), None)
     if best is None:
         return FaultDecision(count=count, sigmas=nominal.sigmas, remarked_cause=level, unconfirmed=doubted)
     if best not in likely:  # a settled cause needs no evidence: any that has some is its rival
@@ -214,7 +186,7 @@ def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Fau
     return FaultDecision(count=count, sigmas=best.fit.sigmas, remarked_cause=level, finding=finding)
 
 
-def contradicted(doubted: Iterable[CandidateTest], count: int) -> tuple[RecordingFault, ...]:
+def contradicted(doubted: Iterable[CandidateTest], count: int) -> list[Cause]:
     """Report an unknown fault if a repeating cause is probable on the joints whose efforts count on this robot. It may
     explain other joints worse, or be hidden by a cause that does not repeat. Whatever it is, a correct recording does
     not explain these efforts.
@@ -225,11 +197,10 @@ def contradicted(doubted: Iterable[CandidateTest], count: int) -> tuple[Recordin
     """
     for one in doubted:
         counts = (one.channel_gains > 0.0) & one.subject.has_large_efforts
-        is_probable = probabilities([float(np.sum(one.channel_gains[counts]))], count)[0] > PROBABLE
-        if is_probable and one.repeats:
+        if is_probable(float(np.sum(one.channel_gains[counts])), count) and one.repeats:
             names = [one.subject.names[channel] for channel in np.flatnonzero(counts)]
-            return (RecordingFault(cause=Cause.of("unexplained", names, nearest=one.cause.sentence)),)
-    return ()
+            return [Cause.of("unexplained", names, nearest=one.cause.sentence)]
+    return []
 
 
 def _doubted(probable: Sequence[CandidateTest]) -> list[CandidateTest]:
@@ -250,6 +221,11 @@ def _most_probable(tried: Sequence[CandidateTest], count: int) -> list[Candidate
     order = np.argsort(-probability[:-1])
     fewest = order[: 1 + int(np.searchsorted(np.cumsum(probability[order]), PROBABLE))]
     return [ordered[place] for place in fewest] if probability[-1] < 1.0 - PROBABLE else []
+
+
+def is_probable(gain: float, count: int) -> bool:
+    """True if one of ``count`` causes is probable, with a gain of log evidence per sample."""
+    return bool(probabilities([gain], count)[0] > PROBABLE)
 
 
 def probabilities(gains: Sequence[float], count: int) -> FloatArray:

@@ -144,6 +144,11 @@ class RecordingFault:
         return f"{self.cause.sentence}; or: {others}" if others else self.cause.sentence
 
 
+def as_faults(causes: Iterable[Cause]) -> tuple[RecordingFault, ...]:
+    """Return a fault for each cause, all of them sure."""
+    return tuple(RecordingFault(cause=cause) for cause in causes)
+
+
 def format_settings(settings: Mapping[str, Any]) -> str:
     """Format parameters as in a configuration."""
     return ", ".join(f"{name}: {value}" for name, value in settings.items())

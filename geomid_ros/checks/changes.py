@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from types import EllipsisType
 from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.baseline_fit import EvidenceGain, by_channel
-from geomid_ros.checks.candidates import MASS_FACTOR, STEP, TILT, CandidateFit, FaultCandidate
+from geomid_ros.checks.candidates import MASS_FACTOR, STEP, TILT, FaultCandidate
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.effort_data import STRETCHES, EffortData
-from geomid_ros.checks.evidence import MOST, PRIOR_STD, payload_factor
+from geomid_ros.checks.effort_data import STRETCHES, EffortData, EvidenceGain, by_channel
+from geomid_ros.checks.evidence import MOST, PRIOR_STD, Evidence, payload_factor
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.types import BoolArray, FloatArray
@@ -27,20 +25,19 @@ _LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s]; less hardly matters after the filter; 
 
 Columns: TypeAlias = Callable[[EffortData], FloatArray]
 """Makes the effort columns ``(N, C, k)`` of a subject, per standard deviation of a possible fault."""
-_Named: TypeAlias = tuple[Cause, list[int] | EllipsisType]
-Said: TypeAlias = Callable[[EvidenceGain, str], _Named | None]
-"""Makes the cause, and the channels that it concerns, from a fit and its time of beginning; None if it is too small."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """A possible change: its ``columns``, and ``said``, which makes its cause. ``grows``: True if it may be gradual.
-    ``first``: True if it is there from the beginning, until some sample."""
+    """A possible change: its ``columns``; its ``cause``, made from a fit and its time of beginning, None if it is too
+    small. ``grows``: True if it may be gradual. ``first``: True if it is there from the beginning, until some sample.
+    ``changes_all``: True if it changes all channels."""
 
     columns: Columns
-    said: Said
+    cause: Callable[[EvidenceGain, str], Cause | None]
     grows: bool = False
     first: bool = False
+    changes_all: bool = False
 
     def onset(self, subject: EffortData, place: float) -> FloatArray:
         """Columns from a ``place`` on, or until it, or growing gradually if it is NaN."""
@@ -49,114 +46,102 @@ class _Kind:
 
 
 def changes(subject: EffortData) -> Iterator[FaultCandidate]:
-    """Yield the changes that explain anything."""
+    """Yield the changes that explain anything, each from where it explains most."""
     yield from switches(subject)
-    fit, recordings = subject.baseline_fit, subject.recordings
     # People change something between recordings rather than during one.
     begins = np.union1d(
-        np.searchsorted(subject.shares, _PLACES), np.flatnonzero(np.diff(recordings, prepend=recordings[0]))
+        np.searchsorted(subject.shares, _PLACES),
+        np.flatnonzero(np.diff(subject.recordings, prepend=subject.recordings[0])),
     )
     for kind in _kinds(subject):
-        always = kind.columns(subject)
-        tried = fit.predicted_gains(always, begins, before=kind.first)
-        place, promise = float(subject.shares[begins[int(np.argmax(tried))]]), float(np.max(tried))
-        when = f"until about {subject.time_of(place)}" if kind.first else f"from about {subject.time_of(place)} on"
-        if kind.grows and (growing := float(fit.predicted_gains(subject.shares[:, None, None] * always)[0])) > promise:
-            place, when, promise = np.nan, BIT_BY_BIT, growing
-        if promise <= 0.0:
-            continue
-        gain = fit.gain(kind.onset(subject, place))
-        described = kind.said(gain, when)
-        if described is not None:
-            yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), *described)
+        places = [*subject.shares[begins].tolist(), *([np.nan] if kind.grows else [])]
+        gains = [subject.baseline_fit.gain(kind.onset(subject, place)) for place in places]
+        best = int(np.argmax([gain.per_instant for gain in gains]))
+        place, gain = places[best], gains[best]
+        time = BIT_BY_BIT if np.isnan(place) else f"about {subject.time_of(place)}"
+        cause = kind.cause(gain, time if np.isnan(place) else f"until {time}" if kind.first else f"from {time} on")
+        if cause is not None and gain.per_instant > 0.0:
+            yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), cause)
 
 
-def _candidate(
-    kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int] | EllipsisType
-) -> FaultCandidate:
-    def undo(subject: EffortData) -> CandidateFit:
+def _candidate(kind: _Kind, place: float, main: int, cause: Cause) -> FaultCandidate:
+    def undo(subject: EffortData) -> Evidence:
         gain = subject.baseline_fit.gain(kind.onset(subject, place))
         always = subject.baseline_fit.gain(kind.columns(subject))
         beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
         return _judged(subject, beyond, slice(main, main + 1))
 
-    return FaultCandidate(fit_corrected=undo, cause=cause, channels=concerned, begins_during_recording=True)
+    return FaultCandidate(fit_corrected=undo, cause=cause, changes_all=kind.changes_all, begins_during_recording=True)
 
 
-def _judged(subject: EffortData, gain: EvidenceGain, main: slice) -> CandidateFit:
+def _judged(subject: EffortData, gain: EvidenceGain, main: slice) -> Evidence:
     """Evaluate a gain over the baseline fit, with the sizes of its ``main`` columns."""
     nominal = subject.nominal
-    return CandidateFit(
+    return replace(
+        nominal,
         log_evidence=nominal.log_evidence + gain.per_instant * len(subject.samples),
         sigmas=nominal.sigmas * gain.ratios,
         estimates=gain.coefficients[main],
-        deviations=gain.deviations[main],
+        estimate_deviations=gain.deviations[main],
     )
 
 
 def _kinds(subject: EffortData) -> Iterator[_Kind]:
-    names = subject.names
+    names, units = subject.names, subject.units
 
-    def offset(gain: EvidenceGain, when: str) -> _Named | None:
-        main = _main(gain.coefficients)
+    def offset(gain: EvidenceGain, when: str) -> Cause:
         steps = gain.coefficients * subject.measured_std
-        sizes_text = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
-        return Cause.of("offset", [names[c] for c in main], sizes=sizes_text, when=when), main
+        return _sized("offset", gain, when, [f"{step:+.3g} {unit}" for step, unit in zip(steps, units, strict=True)])
+
+    def slip(gain: EvidenceGain, when: str) -> Cause:
+        shifts = -TILT * gain.coefficients
+        texts = [
+            f"{1000.0 * shift:+.0f} mm" if unit == "N" else f"{np.degrees(shift):+.0f} degrees"
+            for shift, unit in zip(shifts, units, strict=True)
+        ]
+        return _sized("slip", gain, when, texts)
+
+    def _sized(kind: str, gain: EvidenceGain, when: str, texts: list[str]) -> Cause:
+        main = _main(gain.coefficients)
+        sizes = ", ".join(f"'{names[c]}' by {texts[c]}" for c in main)
+        return Cause.of(kind, [names[c] for c in main], sizes=sizes, when=when)
+
+    def drift(gain: EvidenceGain, when: str) -> Cause | None:
+        every = len(gain.coefficients) == 1
+        first = np.std(subject.baseline_fit.link_efforts, axis=0) / np.maximum(np.std(gain.link_efforts, axis=0), 1e-9)
+        steps = PRIOR_STD * gain.coefficients * (np.median(first) if every else first)
+        main, *others = _main(steps)
+        if others:
+            return None
+        factor = 1.0 + float(steps[main])
+        return Cause.of("drift", names if every else [names[main]], when=when, factor=factor, all_joints=every)
+
+    def switched(gain: EvidenceGain, when: str) -> Cause | None:
+        return Cause.of("switched", names, when=when) if round(float(gain.coefficients[0])) == -1 else None
 
     yield _Kind(
         lambda of: by_channel(np.broadcast_to(of.measured_std[None, :, None], (*of.measured.shape, 1))), offset, True
     )
-
-    def steps(gain: EvidenceGain) -> FloatArray:
-        first = np.std(subject.baseline_fit.link_efforts, axis=0) / np.maximum(np.std(gain.link_efforts, axis=0), 1e-9)
-        return np.asarray(PRIOR_STD * gain.coefficients * (first if len(gain.coefficients) > 1 else np.median(first)))
-
-    def drift(gain: EvidenceGain, when: str) -> _Named | None:
-        main = _main(steps(gain))
-        factor = 1.0 + float(steps(gain)[main[0]])
-        if len(main) != 1:
-            return None
-        every = len(gain.coefficients) == 1
-        cause = Cause.of("drift", names if every else [names[main[0]]], when=when, factor=factor, all_joints=every)
-        return cause, ... if every else main
-
     yield _Kind(lambda of: PRIOR_STD * of.baseline_fit.link_efforts[:, :, None], drift, True)
     yield _Kind(lambda of: by_channel(PRIOR_STD * of.baseline_fit.link_efforts[:, :, None]), drift, True)
-
-    def switched(gain: EvidenceGain, when: str) -> _Named | None:
-        is_gone = round(float(gain.coefficients[0])) == -1
-        return (Cause.of("switched", names, when=when), ...) if is_gone else None
-
     for first in (False, True):
         yield _Kind(lambda of: of.weight[:, :, None], switched, first=first)
     bodies = subject.urdf_parameters.reshape(-1, 10)
     for place, body in enumerate(subject.robot.bodies):
         if len(subject.robot.subtree(body.name)) == 1:
             yield _load(subject, place, body.name, payload_factor(bodies, place))
-
-    def slip(gain: EvidenceGain, when: str) -> _Named | None:
-        main = _main(gain.coefficients)
-        sizes = -TILT * gain.coefficients
-        sizes_text = ", ".join(
-            f"'{names[c]}' by {1000.0 * sizes[c]:+.0f} mm"
-            if subject.units[c] == "N"
-            else f"'{names[c]}' by {np.degrees(sizes[c]):+.0f} degrees"
-            for c in main
-        )
-        return Cause.of("slip", [names[c] for c in main], sizes=sizes_text, when=when), ...
-
-    yield _Kind(lambda of: TILT * _by_position(of), slip, True)
+    yield _Kind(lambda of: TILT * _by_position(of), slip, True, changes_all=True)
 
 
 def _load(subject: EffortData, place: int, link: str, factor: FloatArray) -> _Kind:
     """Load that a link picks up or puts down."""
 
-    def said(gain: EvidenceGain, when: str) -> _Named | None:
+    def cause(gain: EvidenceGain, when: str) -> Cause:
         mass = float(factor[0] @ gain.coefficients)
         way = "more" if mass > 0.0 else "less"
-        return Cause.of("load", subject.names, link=link, mass=abs(mass), way=way, when=when), ...
+        return Cause.of("load", subject.names, link=link, mass=abs(mass), way=way, when=when)
 
-    return _Kind(lambda of: of.regressor[:, :, 10 * place : 10 * place + 10] @ factor, said)
+    return _Kind(lambda of: of.regressor[:, :, 10 * place : 10 * place + 10] @ factor, cause)
 
 
 def _by_position(subject: EffortData) -> FloatArray:
@@ -188,9 +173,7 @@ def switches(subject: EffortData) -> Iterator[FaultCandidate]:
     change = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
     cause = Cause.of("stream", subject.names, factor=change, when=f"from about {subject.time_of(place)} on")
     yield FaultCandidate(
-        fit_corrected=lambda of: _switched(of, place, factor),
-        cause=cause,
-        begins_during_recording=True,
+        fit_corrected=lambda of: _switched(of, place, factor), cause=cause, begins_during_recording=True
     )
 
 
@@ -208,7 +191,7 @@ def _factors(subject: EffortData, place: float) -> list[float]:
     return [-1.0] if 1.0 / MASS_FACTOR <= factor <= MASS_FACTOR else [factor, -factor]
 
 
-def _switched(recording: EffortData, place: float, factor: float) -> CandidateFit:
+def _switched(recording: EffortData, place: float, factor: float) -> Evidence:
     """Evaluate the best reading: efforts in N m before the place or after it, of either sign for a negative factor;
     on the samples in motion, because stiction is arbitrary at rest."""
     subject = recording.moving_part
@@ -221,8 +204,7 @@ def _switched(recording: EffortData, place: float, factor: float) -> CandidateFi
             mended = subject.with_efforts(subject.measured * gains[:, None])
             volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
             volume += len(gains) * float(np.sum(np.log(subject.measured_std / mended.measured_std)))
-            judged = CandidateFit.of(mended, mended.measured_std)
-            readings.append(replace(judged, log_evidence=judged.log_evidence + volume))
+            readings.append(replace(mended.nominal, log_evidence=mended.nominal.log_evidence + volume))
     best = max(readings, key=lambda judged: judged.log_evidence)
     log = recording.nominal.log_evidence + best.log_evidence - subject.nominal.log_evidence
     return replace(best, log_evidence=log, sigmas=np.minimum(best.sigmas, recording.nominal.sigmas))
@@ -261,16 +243,15 @@ def _late(subject: EffortData, main: list[int], lags: FloatArray, columns: Colum
     by_joint = ", ".join(f"that of '{name}' about {time}" for name, time in zip(names, times, strict=True))
     cause = Cause.of("late", names, sizes=f"all are about {times[0]}" if len(set(times)) == 1 and every else by_joint)
 
-    def undo(of: EffortData) -> CandidateFit:
-        gain = of.baseline_fit.gain(columns(of))
-        return _judged(of, gain, slice(None))
+    def undo(of: EffortData) -> Evidence:
+        return _judged(of, of.baseline_fit.gain(columns(of)), slice(None))
 
-    return FaultCandidate(fit_corrected=undo, cause=cause, channels=main)
+    return FaultCandidate(fit_corrected=undo, cause=cause)
 
 
 def _rates(subject: EffortData) -> FloatArray:
     """Change of the fitted links' efforts for a lag of ``_MOST_LAG``, ``(N, C, 1)``."""
-    links = subject.parameters_at(subject.baseline_fit.link_errors)
+    links = subject.parameters_at(subject.baseline_fit.nominal.link_errors)
     times = (subject.next_samples.stamps - subject.samples.stamps) * 1e-9
     change = subject.with_samples(subject.next_samples).regressor @ links - subject.baseline_fit.link_efforts
     rates = np.divide(change, times[:, None], out=np.zeros_like(change), where=times[:, None] > 0.0)

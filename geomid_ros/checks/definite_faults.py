@@ -3,13 +3,13 @@ and efforts of other gains than the given ones."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from geomid_ros.checks.candidates import MASS_FACTOR
-from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.sample_reservoir import FEWEST
@@ -19,49 +19,47 @@ from geomid_ros.model.controller import PDController
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _SAME = 1e-6  # fraction of a range: smaller changes are none
 _FEWEST = 5  # samples in a row; a filter smears twice as many at each end of a stretch
 
 
-def impossible_description(subject: EffortData) -> Cause | None:
-    """Find what is wrong with the URDF, whatever was measured: lengths, centres of mass and radii of gyration that do
+def impossible_description(subject: EffortData) -> Iterator[Cause]:
+    """Yield what is wrong with the URDF, whatever was measured: lengths, centres of mass and radii of gyration that do
     not fit one robot, masses that joints with such limits could not support, or bodies denser than steel."""
+
+    def cause(problem: str, quantity: str, unit: str, right: str, *links: str) -> Cause:
+        return Cause.of(
+            "description", links, sentence_key="lengths", what=problem, quantity=quantity, unit=unit, right=right
+        )
+
     robot = subject.robot
     bodies = np.array([body.parameters for body in robot.bodies])
     distances = np.linalg.norm(bodies[:, 1:4], axis=1) / bodies[:, 0]
     radii = np.sqrt([0.5 * np.trace(pseudo_inertia.central_inertia(body)) / body[0] for body in bodies])
-    length, total = _length(subject), float(np.sum(bodies[:, 0]))
-    extent_text = f"though all links together are {length:.3g} m long"
-    total_mass = f"the total link mass is {total:.3g} kg, and "
+    length, total = _length(subject), f"the total link mass is {np.sum(bodies[:, 0]):.3g} kg, and "
     if np.median(_denser_than_steel(bodies)) > 0.0:
-        return _lengths([], f"{total_mass}most of its links would be denser than steel", "the masses", "grams", "kg")
-    for sizes, what, quantity, unit, right in (
+        yield cause(f"{total}most of its links would be denser than steel", "the masses", "grams", "kg")
+    for sizes, what, *units in (
         (distances, "the centre of mass of link '{}' is {:.3g} m from its frame", "centres of mass", "mm", "m"),
         (radii, "the moments of inertia of link '{}' are those of mass {:.3g} m away from its centre",
          "moments of inertia", "g mm^2 or kg mm^2", "kg m^2"),
     ):  # fmt: skip
         most = int(np.argmax(sizes))
         if 0.0 < MASS_FACTOR**2 * length < sizes[most]:
-            text = f"{what.format(robot.body_names[most], sizes[most])}, {extent_text}"
-            return _lengths([robot.body_names[most]], text, quantity, unit, right)
+            link = robot.body_names[most]
+            problem = f"{what.format(link, sizes[most])}, though all links together are {length:.3g} m long"
+            yield cause(problem, *units, link)
     if length > MASS_FACTOR**2 * float(np.sum(radii)) > 0.0:
-        text = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
-        return _lengths([], text, "the origins of joints", "mm", "m")
+        problem = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
+        yield cause(problem, "the origins of joints", "mm", "m")
     with np.errstate(divide="ignore"):
         excess = _weights(subject) / robot.effort_limits
     joint = int(np.argmax(excess))
     if excess[joint] > MASS_FACTOR**2:
-        text = f"{total_mass}joint '{robot.joint_names[joint]}' would carry {excess[joint]:.0f} times its limit"
-        return _lengths([], text, "the masses", "grams", "kg")
-    return None
-
-
-def _lengths(links: list[str], problem: str, quantity: str, unit: str, right: str) -> Cause:
-    return Cause.of(
-        "description", links, sentence_key="lengths", what=problem, quantity=quantity, unit=unit, right=right
-    )
+        carried = f"joint '{robot.joint_names[joint]}' would carry {excess[joint]:.0f} times its limit"
+        yield cause(f"{total}{carried}", "the masses", "grams", "kg")
 
 
 def _length(subject: EffortData) -> float:
@@ -88,24 +86,28 @@ def _denser_than_steel(bodies: FloatArray) -> BoolArray:
     return np.asarray(np.array(traces) < np.array(least))
 
 
-def held_efforts(subject: EffortData) -> list[Cause]:
-    """Find efforts that stay the same for a while in which gravity and motion require changes."""
-    causes, rigid = [], subject.baseline_fit.link_efforts
+def held_efforts(subject: EffortData) -> Iterator[Cause]:
+    """Yield efforts that stay the same for a while in which gravity and motion require changes, once for each joint."""
+    rigid = subject.baseline_fit.link_efforts
     for channel, effort in enumerate(subject.measured.T):
         changes = np.abs(np.diff(rigid[:, channel]))
         same = np.abs(np.diff(effort)) <= _SAME * np.ptp(effort)
-        begins = np.flatnonzero(np.diff(same.astype(np.int8), prepend=0) == 1)
-        ends = np.flatnonzero(np.diff(same.astype(np.int8), append=0) == -1) + 1
+        begins, ends = _runs(same)
         least = max(float(np.std(effort)), _step(effort[begins]))
         for begin, end in zip(begins, ends, strict=True):
             others = np.delete(same & (changes > LEAST_SIGMA * np.std(effort)), np.arange(begin, end))
             required = float(np.ptp(rigid[begin : end + 1, channel]))
             if end - begin >= _FEWEST and np.mean(others) < LEAST_SIGMA and required > least:
                 first, last = (subject.time_of(subject.shares[at]) for at in (begin, end))
-                name = subject.names[channel]
-                causes.append(Cause.of("constant", [name], sentence_key="held", asked=required, begin=first, end=last))
+                places = [subject.names[channel]]
+                yield Cause.of("constant", places, sentence_key="held", asked=required, begin=first, end=last)
                 break
-    return causes
+
+
+def _runs(true: BoolArray) -> tuple[IntArray, IntArray]:
+    """First index of each run of ``true (N,)``, and the index after its last."""
+    edges = np.diff(np.pad(true.astype(np.int8), 1))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
 
 
 def _step(levels: FloatArray) -> float:
@@ -114,8 +116,8 @@ def _step(levels: FloatArray) -> float:
     return float(np.min(gaps[gaps > 2.0 * _SAME * np.ptp(levels)], initial=np.inf)) if np.any(gaps > 0.0) else 0.0
 
 
-def frozen_position(subject: EffortData) -> Cause | None:
-    """Find a joint whose position is exactly the same for a while, while others move and efforts do not fit that pose,
+def frozen_position(subject: EffortData) -> Iterator[Cause]:
+    """Yield joints whose position is exactly the same for a while, while others move and efforts do not fit that pose,
     or it stops and goes on as no effort makes it.
 
     Links and friction are fitted to all samples: if they explain these as well as the others nothing is frozen,
@@ -131,15 +133,14 @@ def frozen_position(subject: EffortData) -> Cause | None:
         around = np.convolve(still, np.ones(4 * _FEWEST + 1), mode="same") > 0.0
         if np.count_nonzero(still) >= _FEWEST and 2 * np.count_nonzero(~around) >= FEWEST:
             changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
-            once = np.count_nonzero(np.diff(still.astype(np.int8), prepend=0) == 1) == 1
+            once = len(_runs(still)[0]) == 1
             is_joint = subject.joints == joint
             inside, outside = _residual_rms(subject, still, around, is_joint)
             significant = np.sqrt(1.0 + STDS_OF_95 * np.sqrt(2.0))  # for one pose, whose residuals are a single number
             is_off = (inside > significant * outside) & changes & (once | is_joint)
             moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
             if np.any(moving) and np.any(is_off):
-                return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
-    return None
+                yield Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
 
 
 def _residual_rms(
@@ -158,7 +159,7 @@ def _residual_rms(
     return np.maximum(inside, at_ends), outside
 
 
-def wrong_gains(controller: PDController, samples: Samples, joints: Sequence[str]) -> tuple[RecordingFault, ...]:
+def wrong_gains(controller: PDController, samples: Samples, joints: Sequence[str]) -> list[Cause]:
     """Report efforts in messages that are those of other gains, if they are those of any.
 
     Args:
@@ -180,12 +181,9 @@ def wrong_gains(controller: PDController, samples: Samples, joints: Sequence[str
         rest = [float(np.linalg.norm(effort - errors @ gains) / np.linalg.norm(effort)) for gains in (given, fitted)]
         if rest[1] < LEAST_SIGMA < rest[0]:
             wrong[name] = f"{fitted[0]:.3g}:{fitted[1]:.3g} at '{name}', given is {given[0]:g}:{given[1]:g}"
-    if not wrong:
-        return ()
-    sentence = (
-        f"the reported efforts are those of other gains: {'; '.join(wrong.values())}. Correct command.gains (--gains)"
-    )
-    return (RecordingFault(cause=Cause(kind="gains", sentence=sentence, places=tuple(wrong))),)
+    described = "; ".join(wrong.values())
+    sentence = f"the reported efforts are those of other gains: {described}. Correct command.gains (--gains)"
+    return [Cause(kind="gains", sentence=sentence, places=tuple(wrong))] if wrong else []
 
 
 def encoder_zeros(controller: PDController, effects: Sequence[EffectEstimate], joints: Sequence[str]) -> list[str]:
@@ -197,6 +195,5 @@ def encoder_zeros(controller: PDController, effects: Sequence[EffectEstimate], j
         if (offset := effect_class(effect.name).effort_shift({effect.parameter: effect.value}))
         and is_significant(offset, effect.std)
     ]
-    if not significant:
-        return []
-    return [f"offsets of efforts are as large as those of encoders whose zeros are off by {', '.join(significant)}"]
+    sentence = f"offsets of efforts are as large as those of encoders whose zeros are off by {', '.join(significant)}"
+    return [sentence] if significant else []

@@ -8,22 +8,24 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.baseline_fit import BaselineFit
 from geomid_ros.checks.evidence import (
     FRICTION,
     LARGEST_RESIDUAL,
     LEAST_SIGMA,
     MOST,
+    PRIOR_STD,
     Evidence,
     Unknowns,
     evidence,
     prior_factor,
 )
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
+_SLOW = 0.05  # fraction of a joint's largest speed, below which stiction is arbitrary
 STRETCHES = 20
 """Number of stretches of a recording: a change may begin with each, and they alternate between two parts."""
 _OF_MOTION = (
@@ -69,7 +71,7 @@ class EffortData:
         """
         effort = kept.samples.effort
         changing = [_changes(values) for values in effort.T]
-        joints = np.flatnonzero((np.mean(np.isfinite(effort), axis=0) >= MOST) & changing)
+        joints = np.flatnonzero(is_measured(kept.samples) & changing)
         usable = np.all(np.isfinite(effort[:, joints]), axis=1)
         samples = kept.samples.select(usable)
         return EffortData(
@@ -253,14 +255,7 @@ class EffortData:
     @cached_property
     def baseline_fit(self) -> BaselineFit:
         """Fit of links, friction and curves of each joint's motion: the most that these explain."""
-        return BaselineFit(
-            measured=self.measured,
-            predicted=self.predicted,
-            links=self.unknowns,
-            friction=self.friction,
-            tolerated=self.tolerated,
-            position=self.samples.position[:, self.joints],
-        )
+        return BaselineFit(self)
 
     @cached_property
     def nominal(self) -> Evidence:
@@ -281,8 +276,12 @@ class EffortData:
         unknowns = self.unknowns if unknown is None else self.unknowns.with_errors(unknown)
         if not friction:
             unknowns = unknowns.with_separate(self.friction * (np.arange(FRICTION) == 0))
-        target = (self.measured - self.predicted) / self.measured_std
-        return evidence(target, unknowns, self.tolerated, units=self.measured_std, either_sign=either_sign)
+        return evidence(self.target, unknowns, self.tolerated, units=self.measured_std, either_sign=either_sign)
+
+    @property
+    def target(self) -> FloatArray:
+        """Efforts beyond those of the URDF's links, in standard deviations of the efforts ``(N, C)``."""
+        return np.asarray((self.measured - self.predicted) / self.measured_std)
 
     def links(self, found: Evidence) -> FloatArray:
         """Links' parameters ``(D,)`` at an evidence."""
@@ -319,28 +318,89 @@ class EffortData:
     def resemblance(self) -> float:
         """Resemblance of measured and predicted efforts: the log likelihood per sample if each is a positive multiple
         of its prediction, plus friction. No links are fitted."""
-        slopes, r_squared = self.slopes()
-        residual_square = np.maximum(1.0 - np.where(slopes > 0.0, r_squared, 0.0), LEAST_SIGMA**2)
+        residual_square = np.maximum(1.0 - np.maximum(self.slopes()[1], 0.0) ** 2, LEAST_SIGMA**2)
         return -0.5 * float(np.sum(np.log(residual_square)))
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
-        """Slope of measured over predicted efforts, and their squared correlation, without friction ``(C,)``."""
+        """Slope of measured over predicted efforts, and their correlation, without friction ``(C,)``."""
         both = self._without_friction(np.stack([self.measured.T, self.predicted.T], axis=2))
-        measured, predicted = both[:, :, 0], both[:, :, 1]
-        crossed, squares = np.sum(measured * predicted, axis=1), np.sum(predicted**2, axis=1)
-        slopes = crossed / np.maximum(squares, 1e-30)
-        return slopes, crossed**2 / np.maximum(squares * np.sum(measured**2, axis=1), 1e-30)
+        return _slopes(both[:, :, 0].T, both[:, :, 1].T)
 
     def fitted_slopes(self, fit: Evidence) -> tuple[FloatArray, FloatArray]:
         """Slope of the fitted links' efforts over the URDF's, and their correlation, which is zero where these links
         explain little of the measurement ``(C,)``. If it is negative, as if mass were, efforts have the wrong sign."""
         fitted, nominal = self.regressor @ self.links(fit), self.predicted
-        fitted, nominal = fitted - np.mean(fitted, axis=0), nominal - np.mean(nominal, axis=0)
-        crossed, size = np.sum(fitted * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
-        correlations = crossed / np.maximum(np.sqrt(size * np.sum(fitted**2, axis=0)), 1e-30)
-        return crossed / size, np.where(
-            np.std(fitted, axis=0) > LARGEST_RESIDUAL * self.measured_std, correlations, 0.0
+        slopes, correlations = _slopes(fitted - np.mean(fitted, axis=0), nominal - np.mean(nominal, axis=0))
+        explain = np.std(fitted, axis=0) > LARGEST_RESIDUAL * self.measured_std
+        return slopes, np.where(explain, correlations, 0.0)
+
+
+def _slopes(values: FloatArray, over: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slope of values over others, both ``(N, C)``, and their correlation ``(C,)``, through zero."""
+    crossed, size = np.sum(values * over, axis=0), np.maximum(np.sum(over**2, axis=0), 1e-30)
+    return crossed / size, crossed / np.maximum(np.sqrt(size * np.sum(values**2, axis=0)), 1e-30)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EvidenceGain:
+    """Improvement by additional columns.
+
+    Attributes:
+        per_instant: gain of log evidence per sample [nats].
+        ratios: ``(C,)`` residual over that without the columns.
+        coefficients, deviations: ``(k,)`` of the columns.
+        link_efforts: ``(N, C)`` efforts of the links given these columns.
+    """
+
+    per_instant: float
+    ratios: FloatArray
+    coefficients: FloatArray
+    deviations: FloatArray
+    link_efforts: FloatArray
+
+    def beyond(self, other: EvidenceGain) -> EvidenceGain:
+        """Return the improvement by these columns over that by others."""
+        return replace(self, per_instant=self.per_instant - other.per_instant, ratios=self.ratios / other.ratios)
+
+
+class BaselineFit:
+    """Links, friction and curves fitted to the efforts of a subject at the samples at which each of its joints moves.
+
+    Curves of each joint's motion stand for springs, cables and other friction laws: what they explain is no evidence of
+    a fault. Anything else is fitted given these.
+    """
+
+    def __init__(self, subject: EffortData) -> None:
+        friction = subject.friction
+        self._moving = moving(friction[:, :, 1]).astype(np.float64)
+        self._instants = float(np.mean(np.maximum(np.sum(self._moving, axis=0), 1.0)))  # of a channel, on average
+        curves = _curves(subject.samples.position[:, subject.joints], friction, subject.predicted)
+        self._tolerated = np.concatenate([np.ones(curves.shape[1:]), subject.tolerated], axis=1)
+        self._subject = subject
+        self._unknowns = subject.unknowns.with_separate(np.concatenate([curves, friction], axis=2))
+        self.nominal = self._evidence(self._unknowns)
+        """Evidence without further columns."""
+        self.link_efforts = self._rigid(self.nominal.link_errors)
+        """Efforts of the fitted links ``(N, C)``."""
+
+    def gain(self, columns: FloatArray) -> EvidenceGain:
+        """Fit additional ``columns (N, C, k)`` of the efforts, per standard deviation of their coefficients."""
+        fitted, rank = self._evidence(self._unknowns.with_errors(columns)), self._unknowns.links
+        return EvidenceGain(
+            per_instant=(fitted.log_evidence - self.nominal.log_evidence) / self._instants,
+            ratios=fitted.sigmas / self.nominal.sigmas,
+            coefficients=fitted.link_errors[rank:],
+            deviations=fitted.deviations()[rank:],
+            link_efforts=self._rigid(fitted.link_errors[:rank]),
         )
+
+    def _rigid(self, links: FloatArray) -> FloatArray:
+        return np.asarray(self._subject.predicted + self._unknowns.link_efforts(links))
+
+    def _evidence(self, unknowns: Unknowns) -> Evidence:
+        """Evidence of unknowns of unit variance, curves and friction."""
+        of = self._subject
+        return evidence(of.target, unknowns, self._tolerated, units=of.measured_std, counted=self._moving)
 
 
 def largest_of_unit(sizes: FloatArray, units: Sequence[str]) -> FloatArray:
@@ -348,7 +408,45 @@ def largest_of_unit(sizes: FloatArray, units: Sequence[str]) -> FloatArray:
     return np.array([np.max(sizes[np.array(units) == unit]) for unit in units])
 
 
+def is_measured(samples: Samples) -> BoolArray:
+    """True for joints whose efforts are measured in half of the samples or more ``(joints,)``."""
+    return np.asarray(np.mean(np.isfinite(samples.effort), axis=0) >= MOST)
+
+
 def _changes(effort: FloatArray) -> bool:
     """True if an effort ``(N,)`` changes at all, where it is measured."""
     measured = effort[np.isfinite(effort)]
     return bool(len(measured) and np.ptp(measured) > 1e-9 * np.max(np.abs(measured)))
+
+
+def moving(velocity: FloatArray) -> BoolArray:
+    """True where joints move, so that stiction is not arbitrary ``(N, C)``."""
+    speed = np.abs(velocity)
+    return np.asarray(speed > np.maximum(REST_SPEED, _SLOW * np.max(speed, axis=0)))
+
+
+def by_channel(columns: FloatArray) -> FloatArray:
+    """Columns ``(N, C, k)`` that are separate for each channel, as columns ``(N, C, C k)`` of all channels."""
+    instants, channels, count = columns.shape
+    expanded = np.zeros((instants, channels, channels, count))
+    diagonal = np.arange(channels)
+    expanded[:, diagonal, diagonal] = columns
+    return expanded.reshape(instants, channels, channels * count)
+
+
+def _curves(position: FloatArray, friction: FloatArray, predicted: FloatArray) -> FloatArray:
+    """Columns of springs, cables and other friction laws, per prior standard deviation ``(N, C, 6)``."""
+    place = _standardised(position - np.mean(position, axis=0))
+    speed = _standardised(friction[:, :, 1])
+    sign = friction[:, :, 2]
+    load = np.abs(_standardised(predicted - np.mean(predicted, axis=0)))
+    bent, cubic = place**2 - 1.0, place**3 - 3.0 * place
+    creeping = sign * np.exp(-(speed**2))
+    return PRIOR_STD * np.stack([place, bent, cubic, speed * np.abs(speed), creeping, load * sign], axis=2)
+
+
+def _standardised(values: FloatArray) -> FloatArray:
+    """Divide values ``(N, C)`` by their standard deviations; zero where they are constant up to rounding."""
+    deviations = np.std(values, axis=0)
+    varied = deviations > ROUNDING * (1.0 + np.max(np.abs(values), axis=0, initial=0.0))
+    return np.asarray(np.where(varied, values, 0.0) / np.where(varied, deviations, 1.0))

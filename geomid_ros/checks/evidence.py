@@ -8,7 +8,7 @@ the probability density of u with x and f integrated out; sigma is found per cha
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,8 +27,6 @@ FRICTION = 5
 """Columns of a channel: a constant, viscous friction, dry friction that sets in at once or gradually, rotor inertia."""
 LARGEST_RESIDUAL = 0.6
 """Largest residual of a channel that follows the model, as a fraction of its standard deviation."""
-LEAST_CORRELATION = float(np.sqrt(1.0 - LARGEST_RESIDUAL**2))
-"""Correlation of a channel with the model at this residual."""
 MOST = 0.5
 """Fraction of a whole: more is most of it."""
 _SETTLED = 1e-3
@@ -48,6 +46,8 @@ class Evidence:
         friction: ``(C, 5)`` its coefficients, in standard deviations of the measured channels.
         precision: ``(r + C k, r + C k)`` of the links' errors and the channels' separate coefficients; 1 for those
             fixed at zero.
+        estimates, estimate_deviations: ``(k,)`` sizes of a fault that were estimated with it, and their standard
+            deviations.
     """
 
     log_evidence: float
@@ -55,6 +55,8 @@ class Evidence:
     link_errors: FloatArray
     friction: FloatArray
     precision: FloatArray
+    estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
+    estimate_deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def deviations(self) -> FloatArray:
         """Standard deviations ``(r,)`` of the links' errors."""
@@ -208,6 +210,11 @@ def _solve_bounded(
             break
         fixed = changed
     return np.where(bounded, np.maximum(mean, 0.0), mean), free, previous
+
+
+def follows(correlations: FloatArray) -> BoolArray:
+    """True for channels that follow the model, by their correlations with it ``(C,)``."""
+    return np.asarray(correlations > np.sqrt(1.0 - LARGEST_RESIDUAL**2))
 
 
 def prior_factor(robot: Robot) -> FloatArray:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.evidence import MOST
 from geomid_ros.checks.sample_reservoir import FEWEST, STEP
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, Estimate
@@ -22,7 +22,7 @@ from geomid_ros.model.moving_base import DIRECTIONS, Contact, Legs
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import best_rotation, rotation_angle
-from geomid_ros.signals.moving_base import LIFTED
+from geomid_ros.signals.moving_base import LIFTED, within
 from geomid_ros.types import BoolArray, FloatArray
 
 _USUAL = 0.5, 3.0  # plausible multiples of the URDF's weight, which may lack a payload
@@ -30,19 +30,15 @@ _TURNED = 1.0  # [deg]
 _DISPLACED = 0.03  # [m]
 
 
-def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[RecordingFault, ...]:
+def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> list[Cause]:
     """Report limbs without a named contact that seem to support the robot, too; ``samples`` are any of a recording."""
-    bearing = {}
-    for tip in _unnamed_tips(robot, legs):
-        bearing[tip] = _weight_on(Legs(robot, [Contact(tip)]), samples)
-    named = [f"{100.0 * share:.0f} % at '{tip}'" for tip, share in bearing.items() if share > LIFTED]
-    if not named:
-        return ()
+    bearing = {tip: _weight_on(Legs(robot, [Contact(tip)]), samples) for tip in _unnamed_tips(robot, legs)}
+    named = ", ".join(f"{100.0 * share:.0f} % at '{tip}'" for tip, share in bearing.items() if share > LIFTED)
     sentence = (
-        f"limbs without a declared contact seem to support a part of the robot's weight: {', '.join(named)}. Declare "
+        f"limbs without a declared contact seem to support a part of the robot's weight: {named}. Declare "
         "their feet (--contacts)"
     )
-    return (RecordingFault(cause=Cause(kind="legs", sentence=sentence)),)
+    return [Cause(kind="legs", sentence=sentence)] if named else []
 
 
 def feet_of_fixed(robot: Robot, samples: Samples) -> list[str]:
@@ -58,8 +54,8 @@ def feet_of_fixed(robot: Robot, samples: Samples) -> list[str]:
 def _weight_on(legs: Legs, samples: Samples) -> float:
     """Mean fraction of the URDF's weight on the feet, by the efforts of their legs; NaN if it is unknown."""
     shares = legs.weight_fraction(samples)
-    shares = shares[np.isfinite(shares)]
-    return float(np.mean(shares)) if len(shares) else math.nan
+    known = np.isfinite(shares)
+    return float(np.mean(shares[known])) if known.any() else math.nan
 
 
 def _unnamed_tips(robot: Robot, legs: Legs) -> list[str]:
@@ -84,33 +80,31 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
     """Sentence if legs have no fitted rows: with the friction of a fast swing, short steps bear a load; else empty."""
     if model.legs is None:
         return []
-    names = model.robot.joint_names
+    rms = dict(zip(estimate.channels, estimate.rms, strict=True))
     standing = [
         contact.frame
         for contact, joints in zip(model.legs.contacts, model.legs.joints, strict=True)
-        if not np.any(np.isfinite([estimate.rms[estimate.channels.index(names[joint])] for joint in joints]))
+        if not np.any(np.isfinite([rms[model.robot.joint_names[joint]] for joint in joints]))
     ]
-    if not standing:
-        return []
     sentence = (
         f"the training data show {', '.join(standing)} never long enough in the air (the short steps of a trot are "
         "not): for these legs only parameters that the base wrench depends on are identifiable. Lift each leg and move "
         "it in the air for two seconds or more; if you did, that part was held out (--hold-out 0 fits it, too)"
     )
-    return [sentence]
+    return [sentence] if standing else []
 
 
-def carried_weight(legs: Legs, samples: Samples) -> tuple[RecordingFault, ...]:
+def carried_weight(legs: Legs, samples: Samples) -> list[Cause]:
     """Report if by the efforts of the legs the feet do not support the robot; ``samples`` are any of a recording."""
     share = _weight_on(legs, samples)
     if math.isnan(share) or _USUAL[0] <= share <= _USUAL[1]:
-        return ()
+        return []
     sentence = (
         f"leg efforts support {share:.2g} of the robot's weight on average (expected about 1): "
         "check that efforts are in N m with their sign (effort_gain, --gain), that all feet are named (contacts), and "
         "that the IMU's frame is not upside down"
     )
-    return (RecordingFault(cause=Cause(kind="legs", sentence=sentence)),)
+    return [Cause(kind="legs", sentence=sentence)]
 
 
 def turned_imu(model: MeasurementModel, estimate: Estimate) -> list[str]:
@@ -129,9 +123,7 @@ def turned_imu(model: MeasurementModel, estimate: Estimate) -> list[str]:
     return [sentence]
 
 
-def displaced_imu(
-    model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray
-) -> tuple[RecordingFault, ...]:
+def displaced_imu(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[Cause]:
     """Report if the IMU is not at its place in the URDF, and both halves of the samples show it.
 
     A position error d leaves ``-m (alpha x d + omega x (omega x d))`` of the force on the base. A wrong centre of mass
@@ -143,29 +135,28 @@ def displaced_imu(
         parameters: the estimate's ``(D,)``.
     """
     if not model.layout.base or not batches:
-        return ()
+        return []
     samples = Samples.concatenate(list(batches))
     measured, predicted = model.predict(samples, parameters)
     residual = (measured - predicted)[:, model.layout.base[:3]]
     finite = np.flatnonzero(np.isfinite(residual).all(axis=1))
     turning, tilting = (_crossing(rates[finite, 3:]) for rates in (samples.base_velocity, samples.base_acceleration))
     levers = -_mass(model, parameters) * (tilting + turning @ turning)
-    halves = np.array_split(finite, 2), np.array_split(levers, 2)
-    places = [
+    first, second = (
         np.linalg.lstsq(half.reshape(-1, 3), residual[rows].ravel(), rcond=None)[0]
-        for rows, half in zip(*halves, strict=True)
-    ]
-    place = 0.5 * (places[0] + places[1])
+        for rows, half in zip(np.array_split(finite, 2), np.array_split(levers, 2), strict=True)
+    )
+    place = 0.5 * (first + second)
     distance = float(np.linalg.norm(place))
-    if distance < _DISPLACED or np.linalg.norm(places[0] - places[1]) > MOST * distance:
-        return ()
+    if distance < _DISPLACED or np.linalg.norm(first - second) > MOST * distance:
+        return []
     x, y, z = (1e3 * place).round().astype(int)
     sentence = (
         f"the IMU seems to be {1e3 * distance:.0f} mm from its place in the URDF, by ({x:+d}, {y:+d}, {z:+d}) mm in "
         "the axes of the base, or a foot that stands is missing in --contacts: the inertia and the centre of mass of "
         "the base are off. Measure its place, and name all feet"
     )
-    return (RecordingFault(cause=Cause(kind="imu", sentence=sentence)),)
+    return [Cause(kind="imu", sentence=sentence)]
 
 
 def _mass(model: MeasurementModel, parameters: FloatArray) -> float:
@@ -184,22 +175,22 @@ _SHIFTS = STEP * np.arange(-10, 11)  # [ns]
 _TURNED_BY_LEGS = np.radians(10.0)  # encoder zeros, and rolling feet, cause a few degrees
 
 
-def gyroscope(legs: Legs, stretch: Samples) -> tuple[RecordingFault, ...]:
+def gyroscope(legs: Legs, stretch: Samples) -> list[Cause]:
     """Report a fault of the base's gyroscope, if both halves of a ``stretch`` on all feet show it."""
     measured, seconds = stretch.base_velocity[:, 3:], stretch.seconds
     turning = legs.base_rate(stretch)
     usable = np.flatnonzero(_interior(stretch) & np.isfinite(turning).all(axis=1))
     if len(usable) < 2 * FEWEST:
-        return ()
+        return []
     moved = np.array(
         [[np.interp(seconds[usable] + 1e-9 * shift, seconds, axis) for axis in measured.T] for shift in _SHIFTS]
     ).transpose(0, 2, 1)
     parts = [(turning[usable[half]], moved[:, half]) for half in np.array_split(np.arange(len(usable)), 2)]
     if not all(np.any(by_legs) and np.all(np.any(shifted, axis=(1, 2))) for by_legs, shifted in parts):
-        return ()  # they can be compared only where both measure a rotation
+        return []  # they can be compared only where both measure a rotation
     late, angle, before, after = np.array([_compared(*part) for part in parts]).T
     if np.any(after > MOST * np.minimum(before, MOST)):
-        return ()
+        return []
     off = 1e9 * abs(float(np.mean(late)))
     if off > STEP and np.ptp(late) < MOST * abs(np.mean(late)):
         word = ("late" if np.mean(late) > 0.0 else "early") + (" or more" if off > _SHIFTS[-2] else "")
@@ -208,24 +199,16 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[RecordingFault, ...]:
         degrees = np.degrees(np.mean(angle))
         fault = f"it is turned by about {degrees:.0f} degrees against its frame in the URDF: correct the frame"
     else:
-        return ()
+        return []
     sentence = f"the gyroscope disagrees with the base rotation computed from the standing legs: {fault}"
-    return (RecordingFault(cause=Cause(kind="imu", sentence=sentence)),)
+    return [Cause(kind="imu", sentence=sentence)]
 
 
 def on_all_feet(legs: Legs, samples: Samples) -> Samples:
     """Select the samples around which all feet support half of an equal share or more, as far as is known."""
     bearing = np.all(samples.standing, axis=1)
     bearing[bearing] = np.all(legs.loads(samples.select(bearing)) > MOST, axis=1)
-    return samples.select(_around(samples, bearing))
-
-
-def _around(samples: Samples, true: BoolArray) -> BoolArray:
-    """True if all samples within all shifts of each one are ``true (N,)``."""
-    first = np.searchsorted(samples.stamps, samples.stamps + _SHIFTS[0], side="left")
-    last = np.searchsorted(samples.stamps, samples.stamps + _SHIFTS[-1], side="right")
-    count = np.append(0, np.cumsum(~true))
-    return np.asarray(count[last] == count[first])
+    return samples.select(~within(samples.stamps, ~bearing[:, None], int(_SHIFTS[-1]))[:, 0])
 
 
 def _interior(stretch: Samples) -> BoolArray:

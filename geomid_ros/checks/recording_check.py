@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -11,17 +11,16 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.checks.candidates import CandidateTest, FaultDecision, contradicted, decide
-from geomid_ros.checks.causes import MODEL, Cause, RecordingFault
+from geomid_ros.checks.causes import MODEL, Cause, RecordingFault, as_faults
 from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.definite_faults import frozen_position, held_efforts, impossible_description, wrong_gains
-from geomid_ros.checks.effort_data import EffortData
+from geomid_ros.checks.effort_data import EffortData, is_measured
 from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
 from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet, unnamed_feet
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples, RecentMotion, SampleReservoir
 from geomid_ros.checks.transforms import transforms
 from geomid_ros.checks.unexplained import badly_explained, hint, rms
 from geomid_ros.checks.wrench_sensors import WrenchSensorCheck, can_be_checked
-from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.controller import PDController
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
@@ -67,28 +66,30 @@ class CheckTask:
 
     def judge(self, excerpt: Excerpt) -> CheckResult:
         """Check an excerpt of a recording."""
-        judged = self._joints(excerpt.kept, excerpt.continuous, excerpt.recent_stance)
+        samples, joints = excerpt.kept.samples, self.model.robot.joint_names
+        if self.controller and (wrong := wrong_gains(self.controller, samples, joints)):
+            return CheckResult(as_faults(wrong))
+        if no_external_forces(self.model):
+            judged = check_efforts(self.model, excerpt.kept, self.gains, whole=excerpt.continuous)
+        else:
+            judged = CheckResult(as_faults(self._legs(excerpt)))
         if judged.findings:  # a wrong motion makes the wrench sensors look wrong, too
             return judged
-        wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
-        return replace(judged, findings=tuple(chain.from_iterable(wrong)))
+        return replace(judged, findings=tuple(self._wrenches(excerpt)))
 
-    def _joints(self, kept: KeptSamples, continuous: bool, standing: Samples | None) -> CheckResult:
-        robot, legs = self.model.robot, self.model.legs
-        if self.controller and (gain_findings := wrong_gains(self.controller, kept.samples, robot.joint_names)):
-            return CheckResult(gain_findings)
-        if no_external_forces(self.model):
-            return check_efforts(self.model, kept, self.gains, whole=continuous)
+    def _legs(self, excerpt: Excerpt) -> list[Cause]:
+        legs, samples = self.model.legs, excerpt.kept.samples
         if legs is None:
-            return CheckResult()
-        findings = (*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples))
-        return CheckResult(findings or (() if standing is None else gyroscope(legs, standing)))
+            return []
+        causes = [*carried_weight(legs, samples), *unnamed_feet(self.model.robot, legs, samples)]
+        return causes or ([] if excerpt.recent_stance is None else gyroscope(legs, excerpt.recent_stance))
 
-    def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> tuple[RecordingFault, ...]:
-        if excerpt.recent_motion is None or not can_be_checked(sensor):
-            return ()
-        name = self.sensors.get(sensor.topic, sensor.topic)
-        return WrenchSensorCheck(self.model, sensor, name, excerpt.kept.samples, excerpt.recent_motion).findings()
+    def _wrenches(self, excerpt: Excerpt) -> Iterator[RecordingFault]:
+        samples, dense = excerpt.kept.samples, excerpt.recent_motion
+        for sensor in self.model.mounted:
+            if dense is not None and can_be_checked(sensor):
+                name = self.sensors.get(sensor.topic, sensor.topic)
+                yield from WrenchSensorCheck(self.model, sensor, name, samples, dense).findings()
 
 
 def no_external_forces(model: MeasurementModel) -> bool:
@@ -159,8 +160,7 @@ class RecordingCheck:
         samples, model = self.recorded, self._task.model
         if samples is None or not model.layout.efforts:
             return []
-        measured = np.mean(np.isfinite(samples.effort), axis=0) >= MOST
-        return [name for name, is_measured in zip(model.robot.joint_names, measured, strict=True) if not is_measured]
+        return [model.robot.joint_names[joint] for joint in np.flatnonzero(~is_measured(samples))]
 
 
 def check_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray, *, whole: bool = True) -> CheckResult:
@@ -174,10 +174,10 @@ def check_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray,
     """
     subject = EffortData.of(model.robot, kept, gains)
     moves = np.std(kept.samples.velocity, axis=0) > REST_SPEED
-    constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= MOST)
+    constant = moves & is_measured(kept.samples)
     constant[subject.joints] = False
     names = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
-    findings = (RecordingFault(cause=Cause.of("constant", names)),) if names else ()
+    findings = as_faults([Cause.of("constant", names)] if names else [])
     if np.count_nonzero(subject.is_moving) < FEWEST:
         return CheckResult(findings)
     judged = _judged(subject, whole)
@@ -186,21 +186,21 @@ def check_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray,
 
 def _judged(subject: EffortData, continuous: bool) -> CheckResult:
     """Check efforts that change."""
-    plain = impossible_description(subject) or frozen_position(subject)
+    plain = next(chain(impossible_description(subject), frozen_position(subject)), None)
     if plain is not None:
-        return CheckResult((RecordingFault(cause=plain),))
+        return CheckResult(as_faults([plain]))
     remarks: tuple[str, ...] = (MODEL,) if is_model(subject) else ()
-    held = tuple(RecordingFault(cause=cause) for cause in held_efforts(subject))
+    held = as_faults(held_efforts(subject))
     decision = _decided(subject, continuous)
     if decision.finding is None and decision.remarked_cause is not None:
         remarks += (decision.remarked_cause.sentence,)
         subject = subject.under_gravity(np.array(decision.remarked_cause.settings["gravity"]))
         decision = _decided(subject, continuous)
     named = held if decision.finding is None else (*held, decision.finding)
-    findings = named or _unexplained(subject) or contradicted(decision.unconfirmed, decision.count)
-    if not findings and decision.unconfirmed:
-        sentence = decision.unconfirmed[0].cause.sentence
-        remarks += (f"in a part of the recording, or at some joints, only: {sentence}",)
+    doubted = decision.unconfirmed
+    findings = named or as_faults(_unexplained(subject) or contradicted(doubted, decision.count))
+    if not findings and doubted:
+        remarks += (f"in a part of the recording, or at some joints, only: {doubted[0].cause.sentence}",)
     return CheckResult(findings, remarks)
 
 
@@ -208,17 +208,16 @@ def _decided(subject: EffortData, continuous: bool) -> FaultDecision:
     """Decide which cause explains the efforts better than a correct recording."""
     throughout, count = transforms(subject)
     timed = [*(changes(subject) if continuous else ()), *lags(subject)]
-    tried = [CandidateTest.of(candidate, subject) for candidate in (*throughout, *timed)]
+    tried = [CandidateTest(candidate, subject) for candidate in (*throughout, *timed)]
     decision = decide(tried, count + len(timed), subject.nominal)
     if np.all(decision.sigmas > LARGEST_RESIDUAL):
-        return replace(
-            decision, finding=RecordingFault(cause=Cause.of("unrelated", subject.names)), remarked_cause=None
-        )
+        unrelated = RecordingFault(cause=Cause.of("unrelated", subject.names))
+        return replace(decision, finding=unrelated, remarked_cause=None)
     return decision
 
 
-def _unexplained(subject: EffortData) -> tuple[RecordingFault, ...]:
-    """Report joints whose efforts neither links and friction nor curves of their motion explain, for any reason."""
+def _unexplained(subject: EffortData) -> list[Cause]:
+    """Joints whose efforts neither links and friction nor curves of their motion explain, for any reason."""
     curved = subject.baseline_fit.nominal.sigmas > LARGEST_RESIDUAL
     residual = np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan)
     channels = [*zip(subject.names, subject.units, strict=True)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,28 +94,20 @@ class RecentMotion:
     """Keep the last samples in motion, one per 20 ms: enough to identify a delay."""
 
     def __init__(self) -> None:
-        self._kept: deque[Samples] = deque()
-        self._count = 0
+        self.samples: Samples | None = None
+        """All kept samples; None if there are none."""
         self._last = -1  # 20 ms since the epoch
 
     def add(self, samples: Samples) -> None:
         """Add samples, in the order of time; where the clock is set back another recording begins."""
         if not len(samples):
             return
-        if self._kept and samples.stamps[0] <= self._kept[-1].stamps[-1]:
-            self._kept.clear()
-            self._count = 0
+        if self.samples is not None and samples.stamps[0] <= self.samples.stamps[-1]:
+            self.samples = None
         steps = samples.stamps // STEP
         is_first = np.diff(steps, prepend=self._last) != 0
         self._last = int(steps[-1])
         moving = samples.select(is_first & np.any(np.abs(samples.velocity) > REST_SPEED, axis=1))
         if len(moving):
-            self._kept.append(moving)
-            self._count += len(moving)
-        while self._count - len(self._kept[0]) >= 3 * MOST if self._kept else False:
-            self._count -= len(self._kept.popleft())
-
-    @property
-    def samples(self) -> Samples | None:
-        """All kept samples; None if there are none."""
-        return Samples.concatenate(list(self._kept)) if self._kept else None
+            before = [] if self.samples is None else [self.samples]
+            self.samples = Samples.concatenate([*before, moving]).select(slice(-3 * MOST, None))

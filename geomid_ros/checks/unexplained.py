@@ -10,9 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from geomid_ros.checks.baseline_fit import moving
-from geomid_ros.checks.causes import Cause, RecordingFault
-from geomid_ros.checks.effort_data import EffortData, largest_of_unit
+from geomid_ros.checks.causes import Cause
+from geomid_ros.checks.effort_data import EffortData, largest_of_unit, moving
 from geomid_ros.checks.evidence import LEAST_SIGMA, MOST
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -42,7 +41,7 @@ def badly_explained(
     before: FloatArray | float = np.inf,
     allowed: float = MOST,
     kind: str = "joint",
-) -> tuple[RecordingFault, ...]:
+) -> list[Cause]:
     """Report the channels whose efforts are not explained, the worst first, and what to look at; nothing if all are.
 
     Args:
@@ -54,21 +53,20 @@ def badly_explained(
         allowed: fraction of the variation that may be left.
         kind: kind of the channels.
     """
-    units = [unit for _, unit in channels]
+    names, units = zip(*channels, strict=True)
     share = residual_rms / np.maximum(variation, np.finfo(float).tiny)
     large = residual_rms > LEAST_SIGMA * largest_of_unit(variation, units)
     bad = large & ((share > allowed) | (residual_rms > WORSE * before))
     worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
     if not worst:
-        return ()
-    names = tuple(channels[joint][0] for joint in worst)
+        return []
     described = ", ".join(
-        f"'{name}' is not explained: {100.0 * max(1.0 - share[j], 0.0):.0f} % "
+        f"'{names[j]}' is not explained: {100.0 * max(1.0 - share[j], 0.0):.0f} % "
         f"({residual_rms[j]:.3g} of {variation[j]:.3g} {units[j]} are left)"
-        for name, j in zip(names, worst, strict=True)
+        for j in worst
     )
-    sentence = f"{kind} {described}; {hint(names[0], float(share[worst[0]]))}"
-    return (RecordingFault(cause=Cause(kind="unexplained", sentence=sentence, places=names)),)
+    sentence = f"{kind} {described}; {hint(names[worst[0]], float(share[worst[0]]))}"
+    return [Cause(kind="unexplained", sentence=sentence, places=tuple(names[j] for j in worst))]
 
 
 def hint(subject: EffortData, joint: str, share: float) -> str:
@@ -114,7 +112,7 @@ def _speed_hint(joint: str) -> str:
 
 def unexplained(
     model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray, recorded: Samples | None
-) -> tuple[RecordingFault, ...]:
+) -> list[Cause]:
     """Report the joints whose efforts a model does not explain, or explains worse than the input's file does.
 
     Args:
@@ -127,22 +125,20 @@ def unexplained(
     groups = (list(batches), [] if recorded is None else [recorded])
     residuals = [_residual_rms(model, samples, both) for samples in groups if samples]
     if not residuals:
-        return ()
+        return []
     variation = np.max([variation for _, variation in residuals], axis=0)
     if recorded is not None:
         variation = np.maximum(variation, deviations(recorded.effort))
-    channels = [(model.channels[channel].name, model.channels[channel].unit) for channel in model.layout.efforts]
+    channels = _named(model, model.layout.efforts)
+
+    def look_at(joint: str, share: float) -> str:
+        return _ELSE if recorded is None else hint(EffortData.of_all(model.robot, recorded), joint, share)
+
     findings = (
-        badly_explained(
-            channels,
-            rms_pair[:, 0],
-            variation,
-            lambda *of: _ELSE if recorded is None else hint(EffortData.of_all(model.robot, recorded), *of),
-            before=rms_pair[:, 1],
-        )
+        badly_explained(channels, rms_pair[:, 0], variation, look_at, before=rms_pair[:, 1])
         for rms_pair, _ in residuals
     )
-    return next(filter(None, findings), ())
+    return next(filter(None, findings), [])
 
 
 def unexplained_base(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[str]:
@@ -153,11 +149,15 @@ def unexplained_base(model: MeasurementModel, batches: Sequence[Samples], parame
     base = list(model.layout.base)
     if not base or not batches:
         return []
-    pairs = [model.predict(samples, parameters) for samples in batches]
-    measured, predicted = (np.concatenate([values[:, base] for values in parts]) for parts in zip(*pairs, strict=True))
-    channels = [(model.channels[channel].name, model.channels[channel].unit) for channel in base]
+    measured, predicted = (values[:, base] for values in model.predict(Samples.concatenate(list(batches)), parameters))
+    channels = _named(model, base)
     bad = badly_explained(channels, rms(measured - predicted), rms(measured), lambda *_: _OF_BASE, kind="on the base")
-    return [finding.sentence for finding in bad]
+    return [cause.sentence for cause in bad]
+
+
+def _named(model: MeasurementModel, places: Sequence[int]) -> list[tuple[str, str]]:
+    """Names and units of channels."""
+    return [(model.channels[place].name, model.channels[place].unit) for place in places]
 
 
 def _residual_rms(
@@ -165,12 +165,11 @@ def _residual_rms(
 ) -> tuple[FloatArray, FloatArray]:
     """Residual RMS ``(C, 2)`` of two sets of parameters ``(D, 2)`` on the efforts of joints that move, and the standard
     deviations of these efforts ``(C,)``."""
-    efforts = model.layout.efforts
-    pairs = [model.predict(samples, both) for samples in batches]
-    residuals = np.concatenate([(measured[:, :, None] - predicted)[:, efforts] for measured, predicted in pairs])
-    velocity, effort = (np.concatenate([getattr(batch, name) for batch in batches]) for name in ("velocity", "effort"))
-    residuals = np.where(moving(velocity)[:, :, None], residuals, np.nan)
-    return rms(residuals), deviations(np.where(np.isfinite(residuals[:, :, 0]), effort, np.nan))
+    samples = Samples.concatenate(list(batches))
+    measured, predicted = model.predict(samples, both)
+    residuals = (measured[:, :, None] - predicted)[:, model.layout.efforts]
+    residuals = np.where(moving(samples.velocity)[:, :, None], residuals, np.nan)
+    return rms(residuals), deviations(np.where(np.isfinite(residuals[:, :, 0]), samples.effort, np.nan))
 
 
 def rms(residuals: FloatArray) -> FloatArray:

@@ -124,15 +124,13 @@ def poorly_predicted(estimate: Estimate, held_out: FloatArray) -> list[str]:
         held_out: its residual RMS on held-out data ``(channels,)``, NaN where nothing is measured.
     """
     ratios = held_out / np.maximum(estimate.rms, np.finfo(float).tiny)
-    if not np.any(ratios > MASS_FACTOR):
-        return []
-    named = ", ".join(f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > MASS_FACTOR))
+    worse = [f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > MASS_FACTOR)]
     sentence = (
-        f"held-out data are predicted far worse than training data: {named}; the robot moves differently there, or "
-        "something changed. If nothing changed, fit all data (--hold-out 0, or one more bag), and validate on another "
-        "recording (--validate)"
+        f"held-out data are predicted far worse than training data: {', '.join(worse)}; the robot moves differently "
+        "there, or something changed. If nothing changed, fit all data (--hold-out 0, or one more bag), and validate "
+        "on another recording (--validate)"
     )
-    return [sentence]
+    return [sentence] if worse else []
 
 
 def worse_on_rows(estimate: Estimate) -> list[str]:
@@ -150,8 +148,8 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
         parameters: the identified ones.
     """
     both = np.column_stack([parameters, model.described_parameters])
-    pairs = [model.predict(samples, both) for samples in batches]
-    errors = np.concatenate([(predicted - measured[:, :, None]) ** 2 for measured, predicted in pairs])
+    measured, predicted = model.predict(Samples.concatenate(list(batches)), both)
+    errors = (predicted - measured[:, :, None]) ** 2
     blocks = [block for block in np.array_split(errors, BLOCKS) if len(block)]
     with np.errstate(invalid="ignore"):  # NaN where nothing was measured
         means = [np.nansum(block, axis=0) / np.count_nonzero(np.isfinite(block), axis=0) for block in blocks]

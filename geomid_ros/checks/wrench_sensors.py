@@ -8,14 +8,14 @@ direction nor, by as much as a unit, the size.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.checks.candidates import MASS_FACTOR, PROBABLE, TILT, probabilities
+from geomid_ros.checks.candidates import MASS_FACTOR, TILT, is_probable
 from geomid_ros.checks.causes import Cause, RecordingFault, format_settings
-from geomid_ros.checks.evidence import FRICTION, LARGEST_RESIDUAL, LEAST_CORRELATION, Unknowns, evidence, prior_factor
+from geomid_ros.checks.evidence import FRICTION, LARGEST_RESIDUAL, Unknowns, evidence, follows, prior_factor
 from geomid_ros.checks.sample_reservoir import FEWEST, STEP
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.measurement_model import MeasurementModel, Rows
@@ -70,38 +70,33 @@ class WrenchSensorCheck:
             rotations.append(np.array(robot.placement(self._sensor.frame).rotation))
         return np.array(rotations)
 
-    def findings(self) -> tuple[RecordingFault, ...]:
+    def findings(self) -> list[RecordingFault]:
         """Return what is wrong with the sensor; nothing if nothing is, or the data are not informative."""
         if len(self._wrench) < FEWEST or not np.all(np.std(self._wrench, axis=0) > 0.0):
-            return ()
+            return []
         nominal = self._fit(self._regressor, self._wrench)
         tried = [(self._fit(self._regressor, wrench), nominal, cause) for wrench, cause in self._geometries()]
         tried += self._delayed()
         best, reference, cause = max(tried, key=lambda one: one[0].log - one[1].log)
-        probability, _ = probabilities([best.log - reference.log], len(tried))
         remaining = nominal.sigmas * best.sigmas / reference.sigmas
-        if probability > PROBABLE and np.all(remaining < LARGEST_RESIDUAL):
-            return (RecordingFault(cause=cause),)
-        return self._sign_or_unit(nominal)
+        if is_probable(best.log - reference.log, len(tried)) and np.all(remaining < LARGEST_RESIDUAL):
+            return [RecordingFault(cause=cause)]
+        return self._sign_or_unit(nominal.slope) if nominal.sigmas[0] < LARGEST_RESIDUAL else []
 
-    def _sign_or_unit(self, fit: _Fit) -> tuple[RecordingFault, ...]:
-        if not fit.sigmas[0] < LARGEST_RESIDUAL:
-            return ()
-        if fit.slope < 0.0:
+    def _sign_or_unit(self, slope: float) -> list[RecordingFault]:
+        if slope < 0.0:
             settings = {f"wrench.{self._name}.sign": -self._sensor.sign}
             minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
             flaw = f"its sign is reversed: write {format_settings(settings)} (on the command line, {minus})"
-            return (RecordingFault(cause=self._cause(flaw, settings)),)
-        if (unit := _is_other_unit(fit.slope)) or fit.slope < 1.0 / MASS_FACTOR:
-            flaw = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
-            return (RecordingFault(cause=self._cause(flaw), sure=unit),)
-        return ()
+            return [RecordingFault(cause=self._cause(flaw, settings))]
+        if (unit := _is_other_unit(slope)) or slope < 1.0 / MASS_FACTOR:
+            flaw = f"its load would weigh {slope:.3g} times as much as in the URDF: check that it is in N and N m"
+            return [RecordingFault(cause=self._cause(flaw), sure=unit)]
+        return []
 
-    def _cause(self, flaw: str, settings: dict[str, float] | None = None) -> Cause:
-        topic = self._sensor.topic
-        return Cause(
-            kind="wrench", sentence=f"the wrench sensor {topic}: {flaw}", settings=settings or {}, places=(topic,)
-        )
+    def _cause(self, flaw: str, settings: Mapping[str, float] | None = None) -> Cause:
+        topic, sentence = self._sensor.topic, f"the wrench sensor {self._sensor.topic}: {flaw}"
+        return Cause(kind="wrench", sentence=sentence, settings=settings or {}, places=(topic,))
 
     def _geometries(self) -> Iterator[tuple[FloatArray, Cause]]:
         """Other wrenches ``(N, 6)`` that the messages may mean."""
@@ -244,12 +239,12 @@ def _problem(products: FloatArray) -> str:
     if not measured > 0.0 or not expected > 0.0:
         return ""
     scale = float(np.sqrt(measured * expected))
-    agreement = float(np.trace(products[:3, 3:])) / scale
-    if agreement < -LEAST_CORRELATION:
+    agreement = np.asarray(np.trace(products[:3, 3:]) / scale)
+    if follows(-agreement):
         return "the forces are opposite to those expected from the URDF: check the sign"
-    if agreement < LARGEST_RESIDUAL and best_rotation(products[3:, :3])[1] > LEAST_CORRELATION * scale:
+    if agreement < LARGEST_RESIDUAL and follows(np.asarray(best_rotation(products[3:, :3])[1] / scale)):
         return "the forces are rotated against those expected from the URDF: check the frame"
     ratio = float(np.sqrt(measured / expected))
-    if agreement > LEAST_CORRELATION and _is_other_unit(ratio):
+    if follows(agreement) and _is_other_unit(ratio):
         return f"the forces are {ratio:.2g} times those expected from the URDF: check the unit"
     return ""

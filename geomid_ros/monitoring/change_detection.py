@@ -65,7 +65,7 @@ class ChannelGap:
     channel: str
     times_floor: float
     since: int | None
-    first_sample: int = 0
+    first_sample: int
 
 
 class ChangeDetector:
@@ -231,7 +231,7 @@ class _Cusum:
     def noise(self) -> ChannelNoise:
         """Noise floor as noise of independent rows."""
         level, shape = self._normal if self.ready else _Normal(0.0, 0.0)
-        return ChannelNoise(level, 2.0 * shape / BLOCK) if level > 0.0 else ChannelNoise()
+        return ChannelNoise(level, 2.0 * shape / BLOCK) if level > 0.0 else ChannelNoise(1.0, 0.0)
 
     def clear_suspicion(self, began: int) -> None:
         """Close a gap that opened at sample ``began`` or later, and forget suspect rows and those learned since then:

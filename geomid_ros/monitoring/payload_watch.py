@@ -43,8 +43,8 @@ _SOON = 2  # blocks that show a large change; a small one needs the whole window
 class ChannelNoise(NamedTuple):
     """Noise of a channel: its variance, and the number of independent rows per row; 0 while unknown."""
 
-    variance: float = 1.0
-    independent: float = 0.0
+    variance: float
+    independent: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.causes import Cause, RecordingFault, as_faults
 from geomid_ros.checks.definite_faults import encoder_zeros
 from geomid_ros.checks.moving_base import displaced_imu, feet_of_fixed, never_lifted, turned_imu
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck, RunCheck, no_external_forces
@@ -307,7 +307,7 @@ class Review:
             return replace(recording_verdict(findings, warnings=remarks), explains_all=True)
         if self._setup.base_topic == IMU:
             remarks += turned_imu(self._model, estimate)
-            findings = findings or displaced_imu(self._model, samples, estimate.parameters)
+            findings = findings or as_faults(displaced_imu(self._model, samples, estimate.parameters))
         if (controller := self._setup.controller) is not None:
             remarks += encoder_zeros(controller, estimate.effects, self._robot.joint_names)
         remarks += unexplained_base(self._model, samples, estimate.parameters)
@@ -336,7 +336,7 @@ class Review:
         """Findings on joints whose efforts an estimate does not explain; empty if there are none."""
         if not no_external_forces(self._model):
             return ()
-        return unexplained(self._model, samples, estimate.parameters, self.check.recorded)
+        return as_faults(unexplained(self._model, samples, estimate.parameters, self.check.recorded))
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
         """Sentences on what makes results doubtful: the initial model, the estimate and its verdict."""

@@ -83,13 +83,13 @@ class SaturationDetector:
     def restart(self) -> None:
         """Restart after a clock was set or positions leapt. What was learned is kept."""
         self._stamp, self._last = 0, np.full(self._joints, np.nan)  # of the last message
-        self._largest_since = np.zeros(self._joints, dtype=np.int64)
-        self._last_below = np.full(self._joints, self._messages)  # number of the last message with a smaller effort
         self._begun = np.full(self._joints, self._messages)  # number of the message since which efforts are constant
-        self._moved = np.zeros(self._joints, dtype=np.bool_)  # True if the joint moved at its largest effort
+        self._since = np.zeros(self._joints, dtype=np.int64)  # stamp of the message before it
+        self._moved = np.full(self._joints, -1)  # number of the last message in which the joint moved at its largest
 
     def saturated(self, stamps: IntArray, effort: FloatArray, velocity: FloatArray, moving: BoolArray) -> BoolArray:
-        """Take N messages, and find saturated efforts.
+        """Take N messages, and find efforts that stay at their largest for longer than rounding explains, while their
+        joint moves.
 
         Args:
             stamps: ``(N,)`` [ns].
@@ -100,78 +100,29 @@ class SaturationDetector:
         Returns:
             ``(N, joints)`` True for saturated efforts.
         """
-        size, last = np.abs(effort), np.concatenate([self._last[None], effort[:-1]])
-        numbers = np.arange(self._messages + 1, self._messages + 1 + len(stamps))[:, None]
-        sizes = np.concatenate([self._largest[None], size])
+        numbers, moving = np.arange(1, len(stamps) + 1)[:, None] + self._messages, moving[:, None]
+        size = np.abs(effort)
+        last, sizes = np.concatenate([self._last[None], size[:-1]]), np.concatenate([self._largest[None], size])
         if not self._stamp:  # the first message is not learned from
             sizes[1] = np.nan
-        records = np.fmax.accumulate(sizes)
-        record, grown = records[1:], records[1:] > records[:-1]
-        held = self._learn_held(numbers, effort != last, grown | (np.abs(last) < record), moving[:, None])
-        largest: BoolArray = size == record
-        if largest.any():
-            result = moving[:, None] & self._stays(stamps, numbers, largest, grown, np.abs(velocity) < REST_SPEED, held)
-        else:
-            result = largest
-            self._last_below, self._largest_since = (np.full(self._joints, last[-1]) for last in (numbers, stamps))
-            self._moved = np.zeros(self._joints, dtype=np.bool_)
-        self._stamp, self._last = int(stamps[-1]), effort[-1].copy()
-        self._messages += len(stamps)
-        self._largest = record[-1]
-        return result
-
-    def _stays(
-        self,
-        stamps: IntArray,
-        numbers: IntArray,
-        largest: BoolArray,
-        grown: BoolArray,
-        still: BoolArray,
-        held: IntArray,
-    ) -> BoolArray:
-        """True for efforts that stay at their largest for longer than rounding explains, while their joint moves; all
-        arrays are ``(N, joints)``.
-
-        Args:
-            stamps: ``(N,)`` [ns].
-            numbers: running numbers of the messages ``(N, 1)``.
-            largest: True for efforts that are the largest so far, and where these have ``grown``.
-            still: True for joints at rest.
-            held: longest runs of messages with a constant smaller effort.
-        """
-        below = ~largest
-        last_below = _latest(np.where(below, numbers, np.where(grown, numbers - 1, -1)), self._last_below)
-        ended = np.logical_or.accumulate(below | grown)  # runs from before these messages
-        since = np.concatenate([[self._stamp], stamps])[np.maximum(last_below - self._messages, 0)]
-        since = np.where(ended, since, self._largest_since)
-        moves = np.where(largest & ~still, numbers, -1)
-        moved = (_latest(moves, np.full(self._joints, -1)) > last_below) | (self._moved & ~ended)
-        count = self._at_largest + np.cumsum(largest, axis=0)
-        longest = _LONG * np.maximum(1, held)  # run that rounding could explain
-        stays: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved
-        stays &= (count < _MOSTLY * numbers) & (1e-9 * (stamps[:, None] - since) >= LONGEST_SAME)
-        self._last_below, self._largest_since = last_below[-1], since[-1]
-        self._moved, self._at_largest = moved[-1], count[-1]
-        return stays
-
-    def _learn_held(self, numbers: IntArray, new: BoolArray, smaller: BoolArray, moving: BoolArray) -> IntArray:
-        """Learn how long efforts below the largest stay constant, as they do if the driver seldom renews them.
-
-        Args:
-            numbers: running numbers of the messages ``(N, 1)``.
-            new: ``(N, joints)`` True if efforts differ from those before.
-            smaller: ``(N, joints)`` True if the efforts before were not the largest.
-            moving: ``(N, 1)`` True if the robot moves.
-
-        Returns:
-            ``(N, joints)`` longest run so far.
-        """
+        records, new = np.fmax.accumulate(sizes), size != last
+        record, largest = records[1:], size == records[1:]
         begun = _latest(np.where(new | ~moving, numbers, -1), self._begun)
-        begun_before = np.concatenate([self._begun[None], begun[:-1]])
-        counts = np.where(new & moving & smaller, numbers - begun_before, 0)
-        held = _latest(counts, self._held)
-        self._begun, self._held = begun[-1], held[-1]
-        return held
+        # Efforts below the largest stay constant, too, if the driver seldom renews them.
+        smaller = (record > records[:-1]) | (last < record)
+        lengths = numbers - np.concatenate([self._begun[None], begun[:-1]])
+        held = _latest(np.where(new & moving & smaller, lengths, 0), self._held)
+        moved = _latest(np.where(largest & ~(np.abs(velocity) < REST_SPEED), numbers, -1), self._moved)
+        before = np.concatenate([[self._stamp], stamps])[np.maximum(begun - self._messages - 1, 0)]
+        since = np.where(begun > self._messages, before, self._since)
+        count = self._at_largest + np.cumsum(largest, axis=0)
+        result: BoolArray = moving & largest & (moved >= begun) & (count < _MOSTLY * numbers)
+        result &= (held > 0) & (numbers - begun >= _LONG * np.maximum(1, held) - 1)
+        result &= 1e-9 * (stamps[:, None] - since) >= LONGEST_SAME
+        self._stamp, self._last, self._largest, self._held = int(stamps[-1]), size[-1], record[-1], held[-1]
+        self._begun, self._since, self._moved, self._at_largest = begun[-1], since[-1], moved[-1], count[-1]
+        self._messages += len(stamps)
+        return result
 
 
 def _latest(numbers: IntArray, before: IntArray) -> IntArray:

@@ -56,21 +56,9 @@ class JointGate(Gate):
         self._late = 0  # stamp of the first late message that no clock explains, else of the last that passed
         self._last = np.zeros((0, 3, len(joints)))  # numbers of the last few messages
 
-    def _pass_plain(self, stamps: IntArray, numbers: FloatArray) -> int:
-        """Pass messages that continue those before, up to the first that does not. Return how many passed."""
-        place = 0
-        while place < len(stamps):
-            if not len(self._stamps):
-                self._pass(stamps[place : place + 1], numbers[place : place + 1])
-                place += 1
-            part = slice(place, place + self._efforts.room)
-            stops = np.flatnonzero(self._suspicious(stamps[part], numbers[part]))
-            count = int(stops[0]) if len(stops) else len(stamps[part])
-            self._pass(stamps[place : place + count], numbers[place : place + count])
-            place += count
-            if len(stops):
-                break
-        return place
+    @property
+    def _room(self) -> int:
+        return self._efforts.room
 
     @property
     def _period(self) -> float:
@@ -86,7 +74,6 @@ class JointGate(Gate):
         self._stamps = self._stamps[:0]
 
     def _suspicious(self, stamps: IntArray, numbers: FloatArray) -> BoolArray:
-        """True for messages ``(N,)`` that do not continue the one before, assuming that it passes."""
         all_stamps, passed = np.concatenate([self._stamps, stamps]), len(self._stamps)
         before = all_stamps[passed - 1 : -1]
         ends = np.arange(passed - 1, len(all_stamps) - 1)  # last stamp of the span before each message
@@ -94,11 +81,10 @@ class JointGate(Gate):
         counts = ends - begins
         periods = 1e-9 * (before - all_stamps[begins]) / np.maximum(counts, 1)
         periods[counts < FEWEST] = self._period_before
-        ahead = stamps - before
-        seconds = 1e-9 * ahead
+        seconds = 1e-9 * (stamps - before)
         reach = np.maximum(seconds, periods)[:, None] * self._speed
-        suspicious: BoolArray = (seconds > np.maximum(_USUAL_STEP * periods, self._usual_step)) | (ahead <= 0)
-        suspicious |= ahead > self._max_gap
+        suspicious = super()._suspicious(stamps, numbers)
+        suspicious |= seconds > np.maximum(_USUAL_STEP * periods, self._usual_step)
         suspicious |= (self._size(steps(numbers[:, 0], self._last[-1, 0])) > reach).any(axis=1)
         suspicious |= (np.abs(steps(numbers[:, 2], self._last[-1, 2])) > self._efforts.least).any(axis=1)
         return suspicious
@@ -136,11 +122,11 @@ class JointGate(Gate):
         if len(stamps) <= AHEAD and not final:
             return None
         if self._clock_was_set(stamps, numbers):
-            return GateDecision(noted=CLOCK_SET, begins=True)
+            return GateDecision(1, noted=CLOCK_SET, begins=True)
         if stamps[0] <= self._stamp:
             self._late = int(stamps[0])
             return in_order(stamps, numbers, final=final)
-        return GateDecision(noted=LEAP, begins=True) if self._position_leaps(stamps, numbers) else GateDecision()
+        return GateDecision(1, noted=LEAP, begins=True) if self._position_leaps(stamps, numbers) else GateDecision(1)
 
     @staticmethod
     def _spike(effort: str, count: int, elapsed: float) -> GateDecision:
@@ -150,7 +136,7 @@ class JointGate(Gate):
             return GateDecision(count, refused=f"{effort} {SPIKE}")
         if count == 1 and elapsed <= 2.0 * SHORTEST_CONTACT:
             return GateDecision(count, refused=f"{effort} {SPIKE_OR_CONTACT}")
-        return GateDecision(noted=Reason(f"{effort} {SPIKE_OR_CONTACT}: kept", "told"))
+        return GateDecision(1, noted=Reason(f"{effort} {SPIKE_OR_CONTACT}: kept", "told"))
 
     def _early(self, stamps: IntArray, length: int) -> str:
         """EARLY if the first ``length`` stamps are ahead of the next two, which continue the last good one; else

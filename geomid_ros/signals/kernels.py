@@ -135,9 +135,7 @@ class GridValues:
 
     def __init__(self) -> None:
         self.first = 0
-        self.values = np.zeros((0, 0))  # view of the used part of ``_room``
-        self._room = self.values
-        self._used = 0
+        self.values = np.zeros((0, 0))
 
     @property
     def end(self) -> int:
@@ -148,14 +146,7 @@ class GridValues:
         """Append ``values (N, ...)`` from grid point ``start`` on: the :attr:`end`, unless there are no values yet."""
         if not len(self.values):
             self.first, self.values = start, values[:0]
-        count = len(self.values) + len(values)
-        if self._used + len(values) > len(self._room):
-            self._room = np.empty((2 * count, values.shape[1]))
-            self._room[: len(self.values)] = self.values
-            self._used = len(self.values)
-        self._room[self._used : self._used + len(values)] = values
-        self._used += len(values)
-        self.values = self._room[self._used - count : self._used]
+        self.values = np.concatenate([self.values, values])
 
     def correlated(self, instants: range, kernels: FloatArray, columns: int | None = None) -> FloatArray:
         """Correlate with ``kernels (kernels, 2 half + 1)`` around each grid point.

@@ -129,11 +129,11 @@ class Stance:
         self._held, self._borne, self._before = new.select(kept), loads[kept], max(end, begin) - kept.start
         if end <= begin:
             return None
-        standing = _within(stamps, ~(loads < LIFTED), self._span)[begin:end]
+        standing = within(stamps, ~(loads < LIFTED), self._span)[begin:end]
         return replace(new.select(slice(begin, end)), standing=standing)
 
 
-def _within(stamps: IntArray, true: BoolArray, span: int) -> BoolArray:
+def within(stamps: IntArray, true: BoolArray, span: int) -> BoolArray:
     """True if anything is ``true (N, feet)`` at most ``span`` before or after each of ``stamps (N,)``."""
     first, last = np.searchsorted(stamps, stamps - span), np.searchsorted(stamps, stamps + span, side="right")
     count = np.concatenate([np.zeros((1, true.shape[1]), dtype=np.int64), np.cumsum(true, axis=0)])

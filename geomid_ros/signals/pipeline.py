@@ -22,8 +22,7 @@ from geomid_ros.model.controller import PDController
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_gate import JointGate
-from geomid_ros.signals.joint_messages import JointReader, LockedJoints, RejectedError
-from geomid_ros.signals.joint_state_merger import SILENT, JointStateMerger, Part
+from geomid_ros.signals.joint_messages import SILENT, JointReader, JointStateMerger, LockedJoints, Part
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.message_batch import (
     NO_STAMP,
@@ -126,7 +125,7 @@ class SignalPipeline:
         )
         self._stance = Stance(loads, settings.cutoff) if loads is not None else None
 
-    def _new_reader(self, joints: Sequence[str]) -> JointReader:
+    def _new_reader(self, joints: Part) -> JointReader:
         places = [self._joints.index(joint) for joint in joints]
         note = partial(self.ledger.note, JOINT_STATES)
         return JointReader(
@@ -217,11 +216,11 @@ class SignalPipeline:
                 self._locked.watch(block)
                 if len(self.received_joints) < MOST_WAITING:
                     self.received_joints.update(block.names)
-            try:
-                source = block.topic, self._parts.part(block.names) if block.topic == JOINT_STATES else ()
-            except RejectedError as error:
-                self._refused(block.topic, error.reason, len(block.stamps))
+            part = self._parts.part(block.names) if block.topic == JOINT_STATES else ()
+            if isinstance(part, str):
+                self._refused(block.topic, part, len(block.stamps))
                 continue
+            source = block.topic, part
             numbers, refusals = self._numbers(source, block)
             refusals[block.stamps < 0] = NOT_VALID
             refusals[block.stamps == 0] = NO_STAMP

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -19,7 +19,7 @@ from geomid_ros.signals.ledger import Reason
 from geomid_ros.signals.message_batch import NO_MESSAGES, MessageBatch
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.settings import MESSAGES_UNTIL_DECISION
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 NOT_LATER = Reason("stamp not later than the one before", "repeated")
 FROM_THE_FUTURE, TOO_OLD = "stamp from the future", "stamp too old"
@@ -38,7 +38,7 @@ class GateDecision:
     """Decision on the first ``count`` suspicious messages: ``refused`` for a reason, or real. ``noted`` is a remark on
     the first; if it ``begins`` a new segment, nothing is compared across it."""
 
-    count: int = 1
+    count: int
     refused: str = ""
     noted: str = ""
     begins: bool = False
@@ -113,13 +113,29 @@ class Gate:
 
     def _pass_plain(self, stamps: IntArray, numbers: FloatArray) -> int:
         """Pass messages that continue those before, up to the first that does not. Return how many passed."""
-        if not len(stamps):
-            return 0
-        ahead = steps(stamps, self._stamp or int(stamps[0]) - 1)
-        stops = np.flatnonzero((ahead <= 0) | (ahead > self._max_gap))
-        count = int(stops[0]) if len(stops) else len(stamps)
-        self._pass(stamps[:count], numbers[:count])
-        return count
+        place = 0
+        while place < len(stamps):
+            if not self._stamp:  # the first message of all has none to continue
+                self._pass(stamps[:1], numbers[:1])
+                place = 1
+            part = slice(place, place + self._room)
+            stops = np.flatnonzero(self._suspicious(stamps[part], numbers[part]))
+            count = int(stops[0]) if len(stops) else len(stamps[part])
+            self._pass(stamps[place : place + count], numbers[place : place + count])
+            place += count
+            if len(stops):
+                break
+        return place
+
+    @property
+    def _room(self) -> int:
+        """Number of messages that can be compared at once: until something is learned of them."""
+        return MESSAGES_UNTIL_DECISION
+
+    def _suspicious(self, stamps: IntArray, numbers: FloatArray) -> BoolArray:  # noqa: ARG002
+        """True for messages ``(N,)`` that do not continue the one before, assuming that it passes."""
+        ahead = steps(stamps, self._stamp)
+        return (ahead <= 0) | (ahead > self._max_gap)
 
     def _pass(self, stamps: IntArray, numbers: FloatArray) -> None:  # noqa: ARG002 for gates that compare numbers
         """Record messages that pass: they continue the one before, or are real although they do not."""
@@ -135,9 +151,9 @@ class Gate:
         first, *later = stamps.tolist()
         back = first <= self._stamp
         if self._stamp - self._max_gap <= first <= self._stamp:
-            return GateDecision(refused=NOT_LATER)
-        wrong = GateDecision(refused=TOO_OLD if back else FROM_THE_FUTURE)
-        real = GateDecision(noted=SET_BACK, begins=True) if back else GateDecision(noted=PAUSE)
+            return GateDecision(1, refused=NOT_LATER)
+        wrong = GateDecision(1, refused=TOO_OLD if back else FROM_THE_FUTURE)
+        real = GateDecision(1, noted=SET_BACK, begins=True) if back else GateDecision(1, noted=PAUSE)
         last, count = first, 1
         for stamp in later:
             if (stamp >= self._stamp - self._max_gap) if back else (stamp < first - self._max_gap):
@@ -150,19 +166,20 @@ class Gate:
         return None if not final else wrong if back and count == 1 else real
 
 
+@dataclass(eq=False)
 class ReorderBuffer:
-    """Admits the messages of several sources, with a gate for each."""
+    """Admits the messages of several sources, with a gate for each.
 
-    def __init__(self, new_gate: Callable[[Source], Gate], note: Callable[[str, str], None]) -> None:
-        """
-        Args:
-            new_gate: makes the gate of a source.
-            note: ``note(topic, remark)`` receives changes and doubts as they are found.
-        """
-        self._new_gate, self._note = new_gate, note
-        self._gates: dict[Source, Gate] = {}
-        self._decided: dict[Source, MessageBatch] = {}  # decided messages that wait behind undecided ones
-        self._notes: dict[int, tuple[Source, GateDecision]] = {}  # remarks, by the arrival index of their message
+    Attributes:
+        new_gate: makes the gate of a source.
+        note: ``note(topic, remark)`` receives changes and doubts as they are found.
+    """
+
+    new_gate: Callable[[Source], Gate]
+    note: Callable[[str, str], None]
+    _gates: dict[Source, Gate] = field(default_factory=dict)
+    _decided: dict[Source, MessageBatch] = field(default_factory=dict)  # decided ones that wait behind undecided ones
+    _notes: dict[int, tuple[Source, GateDecision]] = field(default_factory=dict)  # by their message's arrival index
 
     @property
     def waiting_counts(self) -> Counter[str]:
@@ -184,14 +201,14 @@ class ReorderBuffer:
             leapt.
         """
         for source in [source for source in new if source not in self._gates]:
-            self._gates[source], self._decided[source] = self._new_gate(source), NO_MESSAGES
+            self._gates[source], self._decided[source] = self.new_gate(source), NO_MESSAGES
         for source in self._gates:
             self._decide(source, new.get(source, NO_MESSAGES), newest)
         parts = []
         while (place := self._change(newest)) < self._end(newest):
             parts.append(self._before(place))
             changed, answer = self._notes.pop(place)
-            self._note(changed[0], answer.noted)
+            self.note(changed[0], answer.noted)
             self._reconsider(changed, place, newest)
         return [*parts, self._before(self._end(newest))]
 
@@ -230,7 +247,7 @@ class ReorderBuffer:
         """Release the decided messages that arrived before this one."""
         for noted in sorted(index for index in self._notes if index < place):
             (topic, _), answer = self._notes.pop(noted)
-            self._note(topic, answer.noted)
+            self.note(topic, answer.noted)
         released = {}
         for source, decided in self._decided.items():
             released[source], self._decided[source] = decided.split(place)

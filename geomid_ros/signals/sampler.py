@@ -19,7 +19,7 @@ from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, Reason, driver_error
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages
 from geomid_ros.signals.moving_base import ImuSegment
-from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MOST_WAITING, PERIOD_ROUNDING, SignalSettings
+from geomid_ros.signals.settings import MOST_WAITING, PERIOD_ROUNDING, SignalSettings
 from geomid_ros.signals.streams import Grid, HeldSegment, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -80,7 +80,6 @@ class Sampler:
         self._grid: Grid | None = None
         self._streams: dict[str, Stream[Any]] = {}
         self._waiting: deque[AcceptedMessages] = deque()
-        self._newest: dict[str, int] = {}  # newest stamp of each topic
         self._next_instant = 0
         self._pending: list[Samples] = []
         if settings.period > 0.0:
@@ -108,7 +107,6 @@ class Sampler:
         """Restart after a clock was set or positions leapt."""
         self.make_samples()
         self._waiting.clear()
-        self._newest.clear()
         self._next_instant = 0
         if self._grid is not None:
             self._motion_clock.restart()
@@ -163,10 +161,8 @@ class Sampler:
         if accepted.topic == COMMANDS and self._controller is not None:
             stamps = stamps + self._controller.delay
         self._streams[accepted.topic].push(stamps, values)
-        self._newest[accepted.topic] = int(stamps[-1])
         if accepted.topic == JOINT_STATES and self._effort_delay:
             self._streams[_EFFORTS].push(stamps - self._effort_delay, values[:, 2 * len(self._continuous) :])
-            self._newest[_EFFORTS] = int(stamps[-1])
 
     def _times(self, stamps: IntArray, values: FloatArray) -> IntArray:
         """Return the times of measurement of joint messages; note in the ledger if the stamps are others."""
@@ -209,8 +205,8 @@ class Sampler:
         )
 
     def _open_streams(self, grid: Grid) -> None:
-        self._joint_stream = Stream(self._max_gap, partial(JointSegment, grid, self._entries))
-        segments: dict[str, Callable[[], Any]] = dict.fromkeys(self._wrenches, partial(VectorSegment, grid))
+        segments: dict[str, Callable[[], Any]] = {JOINT_STATES: partial(JointSegment, grid, self._entries)}
+        segments |= dict.fromkeys(self._wrenches, partial(VectorSegment, grid))
         if self._effort_delay:
             segments[_EFFORTS] = partial(VectorSegment, grid)
         if self._controller is not None:
@@ -219,8 +215,7 @@ class Sampler:
             segments[IMU] = partial(ImuSegment, grid, self._mount)
         elif self._base is not None:
             segments[ODOM] = partial(PoseSegment, grid)
-        streams = {topic: Stream(self._max_gap, segment) for topic, segment in segments.items()}
-        self._streams = {JOINT_STATES: self._joint_stream, **streams}
+        self._streams = {topic: Stream(self._max_gap, segment) for topic, segment in segments.items()}
 
     def collect(self) -> Samples | None:
         """Return the samples that became ready since the last call, oldest first; None if there are none."""
@@ -233,7 +228,9 @@ class Sampler:
     def make_samples(self) -> None:
         """Compute the samples for which every topic has data, also after pauses; discard data that are too old."""
         grid, streams = self._grid, self._streams.values()
-        while grid is not None:
+        if grid is None:
+            return
+        while True:
             ranges = [stream.segment.ready() for stream in streams]
             start = max([self._next_instant, *(r.start for r in ranges)])
             instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)[
@@ -247,25 +244,23 @@ class Sampler:
                     stream.drop_before(self._next_instant)
             elif not any(stream.skip_to(instants.start) for stream in streams):
                 break
-        for name, newest in self._newest.items():
-            if grid is not None:
-                oldest = (newest - LONGEST_TOPIC_LAG) // grid.period - grid.lag
-                self._streams[name].forget(oldest)
+        for stream in streams:
+            stream.forget(grid)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:
-        count, joints = len(instants), len(self._continuous)
-        parts = self._joint_stream.segment.filtered(instants)
-        value, first, second = (part.reshape(count, 3, joints) for part in parts)
+        count, segments = len(instants), {topic: stream.segment for topic, stream in self._streams.items()}
+        motion = segments[JOINT_STATES]
+        value, first, second = (part.reshape(count, 3, -1) for part in motion.filtered(instants))
         position, velocity, acceleration = value[:, 0], first[:, 0], second[:, 0]
         if self._continuous.any():
             position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         sums = self._velocities.add(value[:, 1], velocity)
         if remark := self._velocities.remark():
             self._ledger.note(JOINT_STATES, remark)
-        effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
-        effects, commands = self._joint_stream.segment.effects(instants), np.zeros((count, 4, 0))
+        effort = segments[_EFFORTS].filtered(instants)[0] if self._effort_delay else value[:, 2]
+        effects, commands = motion.effects(instants), np.zeros((count, 4, 0))
         if self._controller is not None:
-            ref, rates, _ = (part.reshape(count, 3, -1) for part in self._streams[COMMANDS].segment.filtered(instants))
+            ref, rates, _ = (part.reshape(count, 3, -1) for part in segments[COMMANDS].filtered(instants))
             commands = np.concatenate([ref, effort[:, None]], axis=1)
             # The controller acts on these set-points, and on the velocity that its driver sends.
             sent = np.where(self._velocities.are_derivatives(value[:, 1], sums), value[:, 1], velocity)
@@ -275,10 +270,10 @@ class Sampler:
                     effects[:, self._entries.of(column)[0]] = self._controller.rate(rates)
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
         if self._base is not None:
-            pose, base_velocity, base_acceleration = self._streams[self._base].segment.filtered(instants)
+            pose, base_velocity, base_acceleration = segments[self._base].filtered(instants)
         wrenches = np.zeros((count, len(self._wrenches), 6))
         for index, topic in enumerate(self._wrenches):
-            wrenches[:, index] = self._streams[topic].segment.filtered(instants)[0]
+            wrenches[:, index] = segments[topic].filtered(instants)[0]
         samples = Samples(
             stamps=np.array(instants) * grid.period,
             position=position,

@@ -27,8 +27,7 @@ CLEAR_RATIO = 4.0  # times as large as usual: a step or change that is clearly l
 PERIOD_ROUNDING = 10_000  # [ns] to which an inferred grid period is rounded; none is shorter
 UNLIKE_ONE = 1e-2  # deviation of a quaternion's length from one
 LARGEST_NOISE_GAIN = 2.0  # of cubic interpolation
-MEAN_STEPS = 4  # largest number of iterations to the mean of poses
-MEAN_TOLERANCE = 1e-12  # norm at which they end
+MEAN_STEPS = 4  # iterations to the mean of poses; more change no digit but the last
 
 # Bounds against abuse: the sender decides how much comes.
 MESSAGES_UNTIL_DECISION = (

@@ -6,7 +6,6 @@ that joins late and a reader of the whole bag make the same samples of the same 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from itertools import pairwise
@@ -19,7 +18,7 @@ from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import JointEffect, Motion
 from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
-from geomid_ros.signals.settings import MEAN_STEPS, MEAN_TOLERANCE, SAMPLES_PER_CUTOFF_PERIOD
+from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MEAN_STEPS, SAMPLES_PER_CUTOFF_PERIOD
 from geomid_ros.types import FloatArray, IntArray
 
 _SHARPER = 4.0  # cutoff of the motion for effects, in units of the filter's
@@ -38,27 +37,7 @@ class Grid:
         self.stride = max(1, int(1e9 / (SAMPLES_PER_CUTOFF_PERIOD * cutoff * period)))
 
 
-class Segment(ABC):
-    """Data of one topic without a pause. :meth:`push` takes them, :meth:`filtered` returns filtered values."""
-
-    @abstractmethod
-    def push(self, stamps: IntArray, values: FloatArray) -> None:
-        """Take the values ``(N, values)`` of messages with increasing ``stamps (N,)`` [ns], later than before."""
-
-    @abstractmethod
-    def ready(self) -> range:
-        """Return the grid points that can be filtered now."""
-
-    @abstractmethod
-    def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return filtered values and their first two derivatives at ``instants`` (all ready), each ``(N, values)``."""
-
-    @abstractmethod
-    def drop_before(self, instant: int) -> None:
-        """Discard data that only earlier grid points need."""
-
-
-S = TypeVar("S", bound=Segment)
+S = TypeVar("S", bound="VectorSegment")
 
 
 class Stream(Generic[S]):
@@ -91,10 +70,12 @@ class Stream(Generic[S]):
         self.skip_to(instant)
         self.segment.drop_before(instant)
 
-    def forget(self, instant: int) -> None:
-        """Do :meth:`drop_before` if there are data that old."""
-        if len(self._segments) > 1 or self.segment.ready().start < instant:
-            self.drop_before(instant)
+    def forget(self, grid: Grid) -> None:
+        """Discard data that are so old that other topics are not waited for."""
+        if self._last is not None:
+            instant = (self._last - LONGEST_TOPIC_LAG) // grid.period - grid.lag
+            if len(self._segments) > 1 or self.segment.ready().start < instant:
+                self.drop_before(instant)
 
     def skip_to(self, instant: int) -> bool:
         """Drop the segments that end before this grid point. Return True if there was one."""
@@ -104,8 +85,8 @@ class Stream(Generic[S]):
         return len(self._segments) < count
 
 
-class VectorSegment(Segment):
-    """Vectors, interpolated by local cubics and filtered per component.
+class VectorSegment:
+    """Data of one topic without a pause: vectors, interpolated by local cubics and filtered per component.
 
     They are interpolated when needed, as many at once as possible.
     """
@@ -119,6 +100,7 @@ class VectorSegment(Segment):
         self._on_grid = GridValues()
 
     def push(self, stamps: IntArray, values: FloatArray) -> None:
+        """Take the values ``(N, values)`` of messages with increasing ``stamps (N,)`` [ns], later than before."""
         if self._next is None and self._count + len(stamps) > 1:
             self._next = -(-int(stamps[1 - self._count]) // self._grid.period)
         self._count += len(stamps)
@@ -138,12 +120,21 @@ class VectorSegment(Segment):
         instants = range(self._next or 0, self._reached.stop)
         if not instants:
             return
-        stamps, values = (np.concatenate(parts) for parts in zip(*self._nodes, strict=True))
+        stamps, values = self._joined()
         times = np.arange(instants.start, instants.stop) * self._grid.period
         self._on_grid.extend(instants.start, self._between(stamps, values, times))
         self._next = instants.stop
         oldest = int(np.searchsorted(stamps, (instants.stop - 1) * self._grid.period, side="right")) - 1
-        remaining = slice(max(0, min(oldest, len(stamps) - 3)), None)
+        self._forget(stamps, values, min(oldest, len(stamps) - 3))
+
+    def _joined(self) -> tuple[IntArray, FloatArray]:
+        """Stamps and values of the remembered messages."""
+        stamps, values = (np.concatenate(parts) for parts in zip(*self._nodes, strict=True))
+        return stamps, values
+
+    def _forget(self, stamps: IntArray, values: FloatArray, count: int) -> None:
+        """Keep these messages, except for the first ``count``."""
+        remaining = slice(max(count, 0), None)
         self._nodes = [(stamps[remaining].copy(), values[remaining].copy())]
 
     def _between(self, stamps: IntArray, values: FloatArray, times: IntArray) -> FloatArray:
@@ -154,15 +145,18 @@ class VectorSegment(Segment):
         return np.asarray(np.einsum("ni,nij->nj", weights, values[nodes]))
 
     def ready(self) -> range:
+        """Return the grid points that can be filtered now."""
         reached, half = self._reached, self._grid.half
         return range(reached.start + half, reached.stop - half)
 
     def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return filtered values and their first two derivatives at ``instants`` (all ready), each ``(N, values)``."""
         self._interpolate()
         value, first, second = self._on_grid.correlated(instants, self._grid.kernels)
         return value, first, second
 
     def drop_before(self, instant: int) -> None:
+        """Discard data that only earlier grid points need."""
         self._interpolate()
         self._on_grid.drop_before(instant - self._grid.half)
 
@@ -242,7 +236,7 @@ class JointSegment(VectorSegment):
         self._on_grid.drop_before(min(before, end - self._sharp_half))
 
 
-class PoseSegment(Segment):
+class PoseSegment(VectorSegment):
     """Poses ``(7,)``, filtered and differentiated on SE(3).
 
     Around a grid point, poses become logarithms relative to a reference pose, which is moved until the filtered
@@ -251,34 +245,21 @@ class PoseSegment(Segment):
     the group are multiples of the logarithm or of the velocity's bracket with itself.
     """
 
-    def __init__(self, grid: Grid) -> None:
-        self._grid = grid
-        self._stamps: list[int] = []
-        self._poses: list[FloatArray] = []
-
-    def push(self, stamps: IntArray, values: FloatArray) -> None:
-        self._stamps += stamps.tolist()
-        self._poses += list(values)
-
-    def ready(self) -> range:
-        if len(self._stamps) < 4:
-            return range(0)
-        half, period = self._grid.half, self._grid.period
-        return range(-(-self._stamps[1] // period) + half, self._stamps[-2] // period + 1 - half)
-
     def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
-        parts = zip(*map(self._filtered_at, instants), strict=True)
+        nodes = self._joined()
+        parts = zip(*(self._filtered_at(instant, *nodes) for instant in instants), strict=True)
         poses, velocities, accelerations = (np.array(part) for part in parts)
         return poses, velocities, accelerations
 
-    def _filtered_at(self, instant: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _filtered_at(
+        self, instant: int, stamps: IntArray, poses: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         half, period = self._grid.half, self._grid.period
         window = np.arange(instant - half, instant + half + 1) * period
         origin = int(window[0])
-        begin = int(np.searchsorted(self._stamps, window[0], side="right")) - 2
-        end = int(np.searchsorted(self._stamps, window[-1], side="left")) + 2
-        stamps = np.array(self._stamps[begin:end])
-        poses = np.array(self._poses[begin:end])
+        begin = int(np.searchsorted(stamps, window[0], side="right")) - 2
+        end = int(np.searchsorted(stamps, window[-1], side="left")) + 2
+        stamps, poses = stamps[begin:end], poses[begin:end]
         start = np.clip(np.searchsorted(stamps, window, side="right") - 2, 0, len(stamps) - 4)
         nodes = start[:, None] + np.arange(4)
         weights = cubic_weights((stamps - origin)[nodes].astype(float), (window - origin).astype(float))
@@ -287,13 +268,10 @@ class PoseSegment(Segment):
             logs = np.einsum("ni,nij->nj", weights, se3.relative_log(reference, poses)[nodes])
             value, velocity, acceleration = self._grid.kernels @ logs
             reference = se3.compose_exp(reference, value)
-            if float(np.linalg.norm(value)) < MEAN_TOLERANCE:
-                break
         return reference, velocity, acceleration
 
     def drop_before(self, instant: int) -> None:
-        oldest = (instant - self._grid.half) * self._grid.period
-        surplus = int(np.searchsorted(self._stamps, oldest, side="right")) - 2
-        if surplus > 0:
-            del self._stamps[:surplus]
-            del self._poses[:surplus]
+        if self._nodes:
+            stamps, poses = self._joined()
+            oldest = (instant - self._grid.half) * self._grid.period
+            self._forget(stamps, poses, int(np.searchsorted(stamps, oldest, side="right")) - 2)

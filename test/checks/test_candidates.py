@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ import pytest
 from checks.test_efforts import case
 from geomid_ros.checks.candidates import (
     PROBABLE,
-    CandidateFit,
     CandidateTest,
     FaultCandidate,
     contradicted,
@@ -19,6 +19,7 @@ from geomid_ros.checks.candidates import (
 )
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.effort_data import EffortData
+from geomid_ros.checks.evidence import Evidence
 from geomid_ros.checks.sample_reservoir import FEWEST
 
 
@@ -52,17 +53,18 @@ def tried(of: EffortData, better: Sequence[float], places: Sequence[int], first:
     """A cause by which each joint is so much better explained, in the first part of the recording by a factor."""
     begin = of.samples.stamps[0]
 
-    def undo(part: EffortData) -> CandidateFit:
+    def undo(part: EffortData) -> Evidence:
         gain = np.sum(better) * (
             first if part.samples.stamps[0] == begin and len(part.samples) < len(of.samples) else 1.0
         )
-        return CandidateFit(
+        return replace(
+            part.nominal,
             log_evidence=part.nominal.log_evidence + gain * len(part.samples),
             sigmas=part.nominal.sigmas * np.exp(-np.array(better)),
         )
 
     cause = Cause(kind="cause", sentence="it is this", places=tuple(of.names[place] for place in places))
-    return CandidateTest.of(FaultCandidate(cause=cause, channels=range(len(of.joints)), fit_corrected=undo), of)
+    return CandidateTest(FaultCandidate(cause=cause, changes_all=True, fit_corrected=undo), of)
 
 
 def test_what_explains_one_joint_worse_is_no_name_but_something_is_wrong() -> None:
@@ -76,9 +78,9 @@ def test_what_explains_one_joint_worse_is_no_name_but_something_is_wrong() -> No
         decision = decide([tried(of, better, [1])], COUNT, of.nominal)
         assert (decision.finding is not None) == named
         if not named:
-            (finding,) = contradicted(decision.unconfirmed, COUNT)
-            assert (finding.cause.kind, finding.cause.places) == ("unexplained", (of.names[1],))
-            assert finding.cause.sentence.endswith("Closest: it is this")
+            (doubt,) = contradicted(decision.unconfirmed, COUNT)
+            assert (doubt.kind, doubt.places) == ("unexplained", (of.names[1],))
+            assert doubt.sentence.endswith("Closest: it is this")
 
 
 def test_a_joint_that_hardly_carries_anything_says_nothing_of_the_robot() -> None:
@@ -87,14 +89,14 @@ def test_a_joint_that_hardly_carries_anything_says_nothing_of_the_robot() -> Non
     assert not of.has_large_efforts[-1]
     decision = decide([tried(of, [0.0, -0.2, *[0.0] * 4, 1.0], [6])], COUNT, of.nominal)
     assert len(decision.unconfirmed) == 1
-    assert contradicted(decision.unconfirmed, COUNT) == ()
+    assert contradicted(decision.unconfirmed, COUNT) == []
 
 
 def test_what_one_half_contradicts_says_nothing() -> None:
     of = subject()
     decision = decide([tried(of, [0.0, 1.0, *[0.0] * 5], [1], first=-1.0)], COUNT, of.nominal)
     assert len(decision.unconfirmed) == 1
-    assert contradicted(decision.unconfirmed, COUNT) == ()
+    assert contradicted(decision.unconfirmed, COUNT) == []
 
 
 def test_of_a_joint_that_a_doubted_cause_is_about_nothing_is_named() -> None:
@@ -115,5 +117,5 @@ def test_what_is_hidden_still_says_that_something_is_wrong() -> None:
     small, hidden = tried(of, [0.0, -0.3, *[0.0] * 4, 2.0], [6]), tried(of, [0.0, 1.0, *[0.0] * 5], [1, 6])
     decision = decide([small, hidden], COUNT, of.nominal)
     assert decision.finding is None
-    (finding,) = contradicted(decision.unconfirmed, COUNT)
-    assert finding.cause.places == (of.names[1],)
+    (doubt,) = contradicted(decision.unconfirmed, COUNT)
+    assert doubt.places == (of.names[1],)

@@ -11,6 +11,8 @@ import pytest
 from estimation.arms import ALL_EFFECTS, Case, Truth, arm, efforts, motion, samples
 from scipy.signal import filtfilt, firwin
 
+from checks import test_efforts
+from checks.test_efforts import checked
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
 from geomid_ros.model.samples import Samples
@@ -21,17 +23,12 @@ ROBOTS = [("arm3", 11), ("arm7", 12)]
 
 
 def findings(of: Case, recorded: Samples) -> tuple[RecordingFault, ...]:
-    check = RecordingCheck(CheckTask(of.model, np.ones(len(of.model.robot.joints)), {}))
-    for begin in range(0, len(recorded), 300):
-        check.add(recorded.select(slice(begin, begin + 300)))
-    return check.findings()
+    return checked(of.model, recorded).findings()
 
 
 def named(of: Case, recorded: Samples) -> Cause:
     """The one cause that is named."""
-    (finding,) = findings(of, recorded)
-    assert finding.sure, finding
-    return finding.cause
+    return test_efforts.named(of.model, recorded)
 
 
 CHANGES = {"offset", "drift", "switched", "load", "slip"}

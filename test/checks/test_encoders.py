@@ -37,33 +37,6 @@ def test_the_zero_of_a_joint_is_off(name: str, degrees: float) -> None:
     assert told == pytest.approx(-degrees, abs=4.0)
 
 
-def test_a_joint_turns_the_other_way_round(robot: Case) -> None:
-    own = robot.samples
-    signs = np.ones(own.effort.shape[1])
-    signs[1] = -1.0
-    turned = {name: signs * getattr(own, name) for name in ("position", "velocity", "acceleration", "effort")}
-    cause = named(robot.model, replace(own, **turned))
-    assert (cause.kind, cause.places) == ("axis", (robot.model.robot.joint_names[1],))
-
-
-def test_a_position_holds_that_of_another_joint() -> None:
-    sound = case("arm3", 1)
-    names = sound.model.robot.joint_names
-    (carrier,) = sound.model.robot.parallel_joints(2)
-    own = sound.samples
-    both = {}
-    for name in ("position", "velocity", "acceleration"):
-        both[name] = getattr(own, name).copy()
-        both[name][:, 2] += both[name][:, carrier]
-    cause = named(sound.model, replace(own, **both))
-    assert (cause.kind, cause.places) == ("absolute", (names[2], names[carrier]))
-
-
-@pytest.mark.parametrize("degrees", [1.0])
-def test_of_a_zero_that_is_hardly_off_nothing_is_said(robot: Case, degrees: float) -> None:
-    assert findings(robot.model, moved(robot.samples, 1, np.radians(degrees))) == ()
-
-
 def seen(own: Samples, position: FloatArray) -> Samples:
     """Samples with other positions, as they are read: they move by these."""
     velocity = 100.0 * np.gradient(position, axis=0)

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from geomid_ros.checks import baseline_fit
+from geomid_ros.checks.effort_data import _curves
 from geomid_ros.checks.evidence import FRICTION, Evidence, Unknowns, evidence
 from geomid_ros.types import FloatArray
 
@@ -116,7 +116,7 @@ def test_what_is_always_the_same_but_for_rounding_has_no_curves() -> None:
     moving = np.sin(np.linspace(0.0, 9.0, 64))
     still, friction = np.full(64, 0.25), np.zeros((64, 2, 3))
     friction[:, 0, 1], friction[:, 1, 1:] = 2.0**-50, np.stack([moving, np.sign(moving)], axis=1)
-    curves = baseline_fit._curves(np.stack([still, moving], 1), friction, np.stack([still, moving], 1))
+    curves = _curves(np.stack([still, moving], 1), friction, np.stack([still, moving], 1))
     assert not np.any(np.ptp(curves[:, 0], axis=0))
     assert np.all(np.isfinite(curves))
     assert np.any(curves[:, 1])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from estimation.arms import motion, samples
 
-from geomid_ros.checks import baseline_fit, effort_data
+from geomid_ros.checks import effort_data
 from geomid_ros.checks.recording_check import check_efforts
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -50,8 +50,7 @@ def fits(monkeypatch: pytest.MonkeyPatch, joints: int) -> tuple[int, list[tuple[
         return one
 
     with monkeypatch.context() as patch:
-        for module in (effort_data, baseline_fit):
-            patch.setattr(module, "evidence", counted(module.evidence))
+        patch.setattr(effort_data, "evidence", counted(effort_data.evidence))
         kept = KeptSamples(measured, measured, np.zeros(len(measured), dtype=np.int64), np.full(len(measured), ""))
         found = check_efforts(MeasurementModel(robot, ()), kept, np.ones(joints)).findings
     return count, [finding.cause.places for finding in found]

@@ -14,59 +14,14 @@ from benchmarks.corruption.recording import ARM3, Recording
 from benchmarks.corruption.simulated import RAIL, simulated
 from checks.test_efforts import ROBOTS, case, checked, findings, named
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
-from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray
 
 
 @pytest.fixture(params=ROBOTS, ids=str)
 def robot(request: pytest.FixtureRequest) -> Case:
     return case(*request.param)
-
-
-def moved(own: Samples, scales: FloatArray | float, rate: float = 1.0) -> Samples:
-    """Positions times scales by a clock that runs so many times as fast."""
-    return replace(
-        own,
-        position=scales * own.position,
-        velocity=rate * scales * own.velocity,
-        acceleration=rate**2 * scales * own.acceleration,
-    )
-
-
-@pytest.mark.parametrize(
-    ("robot", "size", "unit"),
-    [(ROBOTS[0], 0.5 / np.pi, "revolutions"), (ROBOTS[1], 2048.0 / np.pi, "steps of 4096 a turn")],
-    indirect=["robot"],
-)
-def test_positions_are_in_another_unit(robot: Case, size: float, unit: str) -> None:
-    cause = named(robot.model, moved(robot.samples, size))
-    assert cause.kind == "position"
-    assert f"in {unit}" in cause.sentence
-
-
-def test_the_position_of_one_joint_is_in_another_unit(robot: Case) -> None:
-    scales = np.ones(robot.samples.effort.shape[1])
-    scales[1] = 180.0 / np.pi
-    cause = named(robot.model, moved(robot.samples, scales))
-    assert (cause.kind, cause.places) == ("position", (robot.model.robot.joint_names[1],))
-    assert "in degrees" in cause.sentence
-
-
-def test_a_clock_that_runs_too_slow_is_named() -> None:
-    seven = case("arm7", 2)
-    cause = named(seven.model, moved(seven.samples, 1.0, 2.0))
-    assert cause.kind == "time"
-    assert "2 times as slow: with 2 times the time between messages" in cause.sentence
-
-
-def test_a_clock_that_runs_far_too_fast_is_named() -> None:
-    seven = case("arm7", 2)
-    cause = named(seven.model, moved(seven.samples, 1.0, 1e3))
-    assert cause.kind == "time"
-    assert "1000 times the time between messages" in cause.sentence
 
 
 def test_a_robot_that_is_guided_by_hand_is_told() -> None:

@@ -13,7 +13,7 @@ from benchmarks.corruption.__main__ import identified, judged
 from benchmarks.corruption.faults import FAULTS
 from benchmarks.corruption.recording import SOURCES, Recording
 from checks.test_efforts import case, findings
-from geomid_ros.checks.causes import RecordingFault
+from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.unexplained import MOST, badly_explained, hint, rms, unexplained
 from geomid_ros.signals.joint_gate import LEAP
@@ -31,14 +31,14 @@ def residuals(shares: tuple[float, float, float]) -> FloatArray:
     return left * shares * VARIATION / np.sqrt(np.mean(left**2, axis=0))
 
 
-def told(left: FloatArray, units: tuple[str, ...] = ("N m",) * 3) -> tuple[RecordingFault, ...]:
+def told(left: FloatArray, units: tuple[str, ...] = ("N m",) * 3) -> list[Cause]:
     return badly_explained(
         [*zip(NAMES, units, strict=True)], rms(left), VARIATION, lambda joint, share: f"look at {joint}, {share:.2f}"
     )
 
 
-def places(found: tuple[RecordingFault, ...]) -> tuple[str, ...]:
-    return tuple(place for finding in found for place in finding.cause.places)
+def places(found: list[Cause]) -> tuple[str, ...]:
+    return tuple(place for cause in found for place in cause.places)
 
 
 def test_what_is_left_of_little_is_not_told() -> None:
@@ -60,8 +60,8 @@ def test_what_is_not_judged_counts_for_nothing() -> None:
 
 
 def test_the_sentence_says_how_much_is_left_and_where_to_look() -> None:
-    (finding,) = told(residuals((0.1, 0.8, 0.1)))
-    assert finding.sentence == "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); look at elbow, 0.80"
+    (cause,) = told(residuals((0.1, 0.8, 0.1)))
+    assert cause.sentence == "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); look at elbow, 0.80"
 
 
 @pytest.mark.parametrize("name", ["arm3", "arm7"])

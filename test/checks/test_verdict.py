@@ -71,20 +71,13 @@ def test_legs_do_not_carry_what_no_such_robot_weighs(contacts: tuple[str, ...], 
     assert verdict(weighing(estimate, factor), (), model).status == status
 
 
-def test_what_was_weighed_may_weigh_anything() -> None:
-    _, estimate = solved()
+def test_what_else_is_said_of_a_result() -> None:
+    """What was weighed may weigh anything; what no link can be is doubted; missing efforts are told."""
+    case, estimate = solved()
     scale = WeighedEstimate(name="total", given=15.0, given_std=0.1, mass=15.0, std=0.1)
     assert judged(replace(weighing(estimate, 3.0), known=(scale,))).status == 0
-
-
-def test_what_no_link_can_be_is_doubted() -> None:
-    case, estimate = solved()
     result = verdict(estimate, (), case.model, implausible_links=["link 'link2' is lead"])
     assert (result.status, result.reasons) == (4, ("link 'link2' is lead",))
-
-
-def test_missing_efforts_are_told() -> None:
-    case, estimate = solved()
     (warning,) = verdict(estimate, (), case.model, unmeasured=["joint2"]).warnings
     assert "'joint2'" in warning
 

@@ -57,7 +57,9 @@ class Robot:
         for begin in range(0, len(self.targets), BLOCK):
             rows = slice(begin, begin + BLOCK)
             stamps = PERIOD * np.arange(begin + 1, begin + BLOCK + 1)
-            detector.add(begin, stamps, Rows(self.coefficients[rows, None], self.targets[rows, None]))
+            targets = self.targets[rows].reshape(BLOCK, -1)
+            coefficients = np.repeat(self.coefficients[rows, None], targets.shape[1], axis=1)
+            detector.add(begin, stamps, Rows(coefficients, targets))
             assert detector.test()
             assert not detector.test()
             yield detector.gaps
@@ -171,15 +173,10 @@ def test_channels_are_judged_by_themselves() -> None:
     robot = Robot(5)
     robot.change()
     channels = [Channel(name=name, unit="N m", columns=np.arange(COLUMNS)) for name in ("silent", "zero", "joint")]
-    detector = ChangeDetector(channels)
-    for begin in range(0, len(robot.targets), BLOCK):
-        rows = slice(begin, begin + BLOCK)
-        count = len(robot.targets[rows])
-        targets = np.column_stack([np.full(count, np.nan), np.zeros(count), robot.targets[rows]])
-        coefficients = np.repeat(robot.coefficients[rows, None], 3, axis=1)
-        detector.add(begin, PERIOD * np.arange(begin + 1, begin + count + 1), Rows(coefficients, targets))
-        detector.test()
-    gaps = {gap.channel: gap for gap in detector.gaps}
+    count = len(robot.targets)
+    robot.targets = np.column_stack([np.full(count, np.nan), np.zeros(count), robot.targets])
+    *_, last = robot.judged(ChangeDetector(channels))
+    gaps = {gap.channel: gap for gap in last}
     assert gaps.keys() == {"zero", "joint"}
     assert gaps["zero"].since is None
     assert gaps["joint"].since is not None

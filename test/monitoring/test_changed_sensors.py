@@ -35,26 +35,24 @@ def test_channels_of_sensors(model: MeasurementModel) -> None:
     }
 
 
-def test_a_gap_of_a_sensor_alone_is_the_sensors(model: MeasurementModel) -> None:
-    """Since the earliest of its gaps, and a block before."""
-    assert changed_sensors(gaps(), model) == {}
-    assert changed_sensors(gaps(wrist__fz=900, wrist__tx=800), model) == {"/wrist": 800 - LATE}
-    assert changed_sensors(gaps(arm__ft__fz=500), model) == {"/arm/ft": 500 - LATE}
-
-
-def test_a_gap_of_several_sensors_may_be_a_load(model: MeasurementModel) -> None:
-    assert changed_sensors(gaps(wrist__fz=900, arm__ft__fz=500), model) is None
-
-
-def test_without_a_joint_that_is_watched_it_may_be_a_load(model: MeasurementModel) -> None:
-    """Nothing would show the difference."""
-    of_sensors = [gap for gap in gaps(wrist__fz=900) if "/" in gap.channel]
+@pytest.mark.parametrize(
+    ("first", "changed"),
+    [
+        ({}, {}),
+        ({"wrist__fz": 900, "wrist__tx": 800}, {"/wrist": 800 - LATE}),  # since the earliest of its gaps, and before
+        ({"arm__ft__fz": 500}, {"/arm/ft": 500 - LATE}),
+        ({"wrist__fz": 900, "arm__ft__fz": 500}, None),
+        ({"wrist__fz": 900, "joint2": 1000}, None),
+        ({"joint2": 1000}, None),
+    ],
+)
+def test_a_gap_of_one_sensor_alone_is_the_sensors(
+    first: dict[str, int], changed: dict[str, int] | None, model: MeasurementModel
+) -> None:
+    """One of several sensors, or at a joint, may be a load; so may any if no joint is watched."""
+    assert changed_sensors(gaps(**first), model) == changed
+    of_sensors = [gap for gap in gaps(**first) if "/" in gap.channel]
     assert changed_sensors(of_sensors, model) is None
-
-
-def test_a_gap_at_a_joint_may_be_a_load(model: MeasurementModel) -> None:
-    assert changed_sensors(gaps(wrist__fz=900, joint2=1000), model) is None
-    assert changed_sensors(gaps(joint2=1000), model) is None
 
 
 def test_a_gap_of_a_force_plate_is_not_the_sensors() -> None:

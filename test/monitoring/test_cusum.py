@@ -19,29 +19,29 @@ def cusum(forgetting_time: float = np.inf) -> _Cusum:
 
 
 class Source:
-    """Rows of one channel with white noise of standard deviation 1."""
+    """Rows of one channel with white noise of standard deviation 1, of which a test took some blocks."""
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, blocks: int = 0) -> None:
         self.rng = np.random.default_rng(seed)
         self.parameters = self.rng.normal(size=COLUMNS)
-        self.first = 0
+        self.first, self.own = 0, cusum()
+        for _ in range(blocks):
+            self.block()
 
-    def block(
-        self, own: _Cusum, size: float = 1.0, measured: int = BLOCK, step: int = 20_000_000, pace: float = 1.0
-    ) -> None:
-        coefficients = pace * self.rng.normal(size=(BLOCK, COLUMNS))
+    def block(self, size: float = 1.0, measured: int = BLOCK) -> None:
+        coefficients = self.rng.normal(size=(BLOCK, COLUMNS))
         targets = coefficients @ self.parameters + size * self.rng.normal(size=BLOCK)
         targets[measured:] = np.nan
-        stamps = SECOND + step * np.arange(self.first, self.first + BLOCK)
-        own.judge(self.first, stamps, coefficients, targets)
+        stamps = SECOND + 20_000_000 * np.arange(self.first, self.first + BLOCK)
+        self.own.judge(self.first, stamps, coefficients, targets)
         self.first += BLOCK
 
 
 def test_what_is_normal_is_known_after_enough_rows_and_blocks() -> None:
-    own, source, ready = cusum(), Source(), []
+    source, ready = Source(), []
     for _ in range(20):
-        source.block(own)
-        ready.append(own.ready)
+        source.block()
+        ready.append(source.own.ready)
     assert ready.index(True) in (NORMAL, NORMAL + LEARNT - 1)
     assert all(ready[ready.index(True) :])
 
@@ -50,49 +50,48 @@ def test_the_normal_energy_is_the_variance_of_the_noise() -> None:
     """Of recursive residuals, however few rows there are; a change of their size is a gap of that size."""
     levels = []
     for seed in range(30):
-        own, source = cusum(), Source(seed)
+        source = Source(seed)
+        own = source.own
         for _ in range(40):
-            source.block(own, 0.5)
+            source.block(0.5)
         levels.append(own._normal.level)
         assert own.gap.times_floor == pytest.approx(1.0, abs=0.4)
     assert np.mean(levels) == pytest.approx(0.25, rel=0.03)
     for _ in range(8):
-        source.block(own, 1.5)
+        source.block(1.5)
     assert own.gap.times_floor == pytest.approx(3.0, rel=0.15)
     assert own.gap.since is not None
 
 
 def test_a_suspicion_begins_with_its_first_block_and_ends_without_a_trace() -> None:
-    own, source = cusum(), Source(3)
-    for _ in range(40):
-        source.block(own)
+    source = Source(3, 40)
+    own = source.own
     assert own.first_suspect is None
     first, energies = source.first, len(own._energies)
-    source.block(own, 3.0)
+    source.block(3.0)
     assert own.first_suspect == first
     assert own.gap.since is None, "one block is none"
     assert len(own._energies) == energies
     for _ in range(6):
-        source.block(own, 0.9)
+        source.block(0.9)
     assert own.first_suspect is None
     assert len(own._energies) > energies
 
 
 def test_three_bad_blocks_are_a_gap_since_the_first() -> None:
-    own, source = cusum(), Source(4)
-    for _ in range(40):
-        source.block(own)
+    source = Source(4, 40)
+    own = source.own
     first = source.first
     opened = []
     for _ in range(5):
-        source.block(own, 10.0)
+        source.block(10.0)
         opened.append(own.gap.since is not None)
     assert opened == [False, False, True, True, True]
     assert own.gap.first_sample == first
     assert own.gap.since == SECOND + 20_000_000 * first
     closed = []
     for _ in range(6):
-        source.block(own)
+        source.block()
         closed.append(own.gap.since is None)
     assert not any(closed[:2]), "nor are two good blocks its end"
     assert closed[-1]
@@ -102,23 +101,21 @@ def test_three_bad_blocks_are_a_gap_since_the_first() -> None:
 def test_a_gap_is_about_twice_the_floor(times: float, opens: bool) -> None:
     """Evidence grows where the mean square is more than twice what is usual."""
     for seed in range(5):
-        own, source, opened = cusum(), Source(seed), False
+        source, opened = Source(seed, 40), False
+        own = source.own
         for _ in range(40):
-            source.block(own)
-        for _ in range(40):
-            source.block(own, times)
+            source.block(times)
             opened = opened or own.gap.since is not None
         assert opened == opens
 
 
 def test_what_was_learned_from_a_payload_is_unlearned() -> None:
     """It shows after some blocks; those before it came stay."""
-    own, source = cusum(), Source(1)
-    for _ in range(30):
-        source.block(own)
+    source = Source(1, 30)
+    own = source.own
     factor, rows, came = own._factor, own._rows, source.first
     for _ in range(5):
-        source.block(own, 0.9)
+        source.block(0.9)
     own.clear_suspicion(came)
     np.testing.assert_allclose(own._factor.T @ own._factor, factor.T @ factor)
     assert own._rows == rows
@@ -126,11 +123,10 @@ def test_what_was_learned_from_a_payload_is_unlearned() -> None:
 
 @pytest.mark.parametrize(("measured", "judged"), [(BLOCK // 2 - 1, False), (BLOCK // 2, True)])
 def test_a_block_of_which_less_than_half_is_measured_says_nothing(measured: int, judged: bool) -> None:
-    own, source = cusum(), Source(5)
-    for _ in range(30):
-        source.block(own)
+    source = Source(5, 30)
+    own = source.own
     rows, energies = own._rows, list(own._energies)
-    source.block(own, measured=measured)
+    source.block(measured=measured)
     assert own._rows == rows + judged * measured
     assert (list(own._energies) == energies) == (not judged)
 

@@ -173,6 +173,6 @@ def test_what_was_learned_of_the_robot_is_forgotten_as_time_goes_by() -> None:
     same = replace(rows, **{name: values[:10] for name, values in vars(rows).items()})
     learned = []
     for block in range(60):
-        watch.update(10 * block, measured.stamps[:10], same, [ChannelNoise()] * 3, share)
+        watch.update(10 * block, measured.stamps[:10], same, [ChannelNoise(1.0, 0.0)] * 3, share)
         learned.append(watch._baselines[0].information.copy())
     np.testing.assert_allclose(learned[59], (1.0 + share**20) * learned[39], rtol=1e-9)

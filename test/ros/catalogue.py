@@ -129,7 +129,7 @@ CATALOGUE = (
     Fault(76, "clock set by less than `filter.max_gap` (NTP), detected from the motion", "S W", (_both("76-clock-set-ahead"),)),
     Fault(77, "receipt stamps in bursts (wireless)", "E; used by their sequence if a period can be identified, else R E", (_both("77-bursts"), "../signals/test_clocks.py::test_uneven_bursts_are_refused")),
     Fault(78, "one joint's effort never changes, and is not zero", "E naming the joint", (_both("78-an-effort-is-constant"),)),
-    Fault(82, "two joints with swapped names; left and right", "E naming the joints, if their loads differ", (_both("82-names-exchanged"), "../checks/test_efforts.py::test_two_joints_have_each_others_names", "../checks/test_efforts.py::test_left_and_right_are_exchanged")),
+    Fault(82, "two joints with swapped names; left and right", "E naming the joints, if their loads differ", (_both("82-names-exchanged"), "../checks/test_efforts.py::test_what_is_planted_is_named", "../checks/test_efforts.py::test_left_and_right_are_exchanged")),
     Fault(83, "effort unit or sign that changes during the run at all joints", "E", (_both("83-unit-in-mid-run"),)),
     Fault(85, "two thirds of a joint's efforts NaN; two publishers in a bag; a joint NaN throughout", "the message counts are printed and written, W", (_both("85-mostly-nan"), _both("85-two-publishers"), _both("85-nan-throughout"))),
     Fault(87, "messages in pairs or batches (USB, EtherCAT)", "the period from the span of stamps, E", (_both("87-five-per-batch"),)),

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.messages import Block
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.types import FloatArray, IntArray
@@ -127,6 +127,10 @@ def feed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Samples:
     samples = pipeline.collect()
     assert samples is not None
     return samples
+
+
+class RejectedError(Exception):
+    """A reader refuses a message."""
 
 
 def read(reader: JointReader, message: JointMessage) -> FloatArray:

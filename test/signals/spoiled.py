@@ -90,6 +90,25 @@ def _again(rng: np.random.Generator, messages: list[Message]) -> list[Message]:
     ]
 
 
+def _odd(rng: np.random.Generator, messages: list[Message]) -> list[Message]:
+    """Some come again with something that they cannot be used with, or with their numbers a little later."""
+    places, frozen = _some(rng, messages, 30), int(rng.integers(1, 4))
+    odd: list[Callable[[Any], Any]] = [
+        lambda m: replace(m, stamp=int(rng.integers(-1, 1))),
+        lambda m: replace(m, effort=()) if isinstance(m, JointMessage) else replace(m, frame="base"),
+        lambda m: replace(m, effort=np.zeros(len(m.names)), velocity=()) if isinstance(m, JointMessage) else m,
+        lambda m: replace(m, names=m.names[::-1]) if isinstance(m, JointMessage) else m,
+        lambda m: without(m, "elbow") if isinstance(m, JointMessage) else m,
+    ]
+    result = []
+    for place, message in enumerate(messages):
+        result.append(message)
+        if place in places:
+            result.append(odd[rng.integers(len(odd))](message))
+            result += [replace(message, stamp=message.stamp + 1000 * step) for step in range(1, frozen)]
+    return result
+
+
 def _lost(rng: np.random.Generator, messages: list[Message]) -> list[Message]:
     begin, count = int(rng.integers(len(messages))), int(rng.integers(1, 150))
     return messages[:begin] + messages[begin + count :]
@@ -112,7 +131,7 @@ def _dead(rng: np.random.Generator, messages: list[Message]) -> list[Message]:
     return left
 
 
-CHANGES: tuple[Change, ...] = (_early, _late, _glitch, _glitch, _wrap, _bursts, _again, _lost, _twice, _dead)
+CHANGES: tuple[Change, ...] = (_early, _late, _glitch, _odd, _wrap, _bursts, _again, _lost, _twice, _dead)
 
 
 def spoiled(rng: np.random.Generator, *, merge: bool) -> list[Message]:

@@ -37,55 +37,46 @@ def run(begin: int, count: int, period: int = PERIOD) -> list[int]:
     return [begin + period * index for index in range(count)]
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 9])
-def test_a_few_late_messages_are_no_clock_that_was_set_back(count: int) -> None:
-    before, after = run(START, 20), run(START + 20 * PERIOD, 5)
-    assert judged(*before, *run(LATE, count), *after) == (before + after, [TOO_OLD] * count, [], 0)
+BEFORE, AFTER, LATER = run(START, 20), run(START + 20 * PERIOD, 5), START + 10 * MAX_GAP
+FAR, SLOW = START + 2 * MAX_GAP, run(START + 2 * MAX_GAP, 8, 2 * MAX_GAP)
+JUDGED = {
+    **{  # a few late messages are no clock that was set back
+        f"{count} late": ([*BEFORE, *run(LATE, count), *AFTER], 0, (BEFORE + AFTER, [TOO_OLD] * count, [], 0))
+        for count in (1, 2, 5, 9)
+    },
+    "a clock that was set back": (BEFORE + run(LATE, 30), 0, (BEFORE + run(LATE, 30), [], [SET_BACK], 0)),
+    "one from the future": ([*BEFORE, LATER, *AFTER], 0, (BEFORE + AFTER, [FROM_THE_FUTURE], [], 0)),
+    "two in the future": ([*BEFORE, *run(LATER, 2)], 0, (BEFORE + run(LATER, 2), [], [PAUSE], 0)),
+    **{  # a topic slower than the longest gap takes two more messages to tell
+        f"{count} slow": (
+            [START, *SLOW[:count]], 0, ([START, *SLOW[:settled]], [], [PAUSE] * settled, count - settled)
+        )
+        for count, settled in ((1, 0), (2, 0), (3, 1), (8, 6))
+    },
+    "nearly decided": ([START, FAR], MESSAGES_UNTIL_DECISION - 1, ([START], [], [], 1)),
+    "decided without more": ([START, FAR], MESSAGES_UNTIL_DECISION, ([START, FAR], [], [PAUSE], 0)),
+    "one late, no more": ([START, LATE], MESSAGES_UNTIL_DECISION, ([START], [TOO_OLD], [], 0)),
+    "two late, no more": (
+        [START, *run(LATE, 2)], MESSAGES_UNTIL_DECISION, ([START, *run(LATE, 2)], [], [SET_BACK], 0)
+    ),
+    "the longest gap": ([START, START + MAX_GAP], 0, ([START, START + MAX_GAP], [], [], 0)),
+    "a longer gap": ([START, START + MAX_GAP + 1], 0, ([START], [], [], 1)),
+    "as far back": ([START, START - MAX_GAP], 0, ([START], [NOT_LATER], [], 0)),
+    "farther back": ([START, START - MAX_GAP - 1], 0, ([START], [], [], 1)),
+    "a pause is shown within the longest gap": (
+        [START, LATER, LATER + MAX_GAP], 0, ([START, LATER, LATER + MAX_GAP], [], [PAUSE], 0)
+    ),
+    "and not beyond": ([START, LATER, LATER + MAX_GAP + 1], 0, ([START], [], [], 2)),
+    "late and future ones confirm nothing": (
+        [START, LATE, LATER, LATE], 0, ([START], [TOO_OLD, FROM_THE_FUTURE], [], 1)
+    ),
+}  # fmt: skip
 
 
-def test_ten_late_messages_are_a_clock_that_was_set_back_and_are_used() -> None:
-    before, after = run(START, 20), run(LATE, 30)
-    assert judged(*before, *after) == (before + after, [], [SET_BACK], 0)
-
-
-def test_one_message_from_the_future_is_refused_two_are_a_pause() -> None:
-    before, later = run(START, 20), run(START + 10 * MAX_GAP, 2)
-    after = run(START + 20 * PERIOD, 5)
-    assert judged(*before, later[0], *after) == (before + after, [FROM_THE_FUTURE], [], 0)
-    assert judged(*before, *later) == (before + later, [], [PAUSE], 0)
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 8])
-def test_a_topic_slower_than_the_longest_gap_takes_two_more_messages_to_tell(count: int) -> None:
-    slow = run(START + 2 * MAX_GAP, count, 2 * MAX_GAP)
-    settled = max(count - 2, 0)
-    assert judged(START, *slow) == ([START, *slow[:settled]], [], [PAUSE] * settled, min(count, 2))
-
-
-def test_a_slow_topic_does_not_keep_others_waiting_for_ever() -> None:
-    later = START + 2 * MAX_GAP
-    assert judged(START, later, others=MESSAGES_UNTIL_DECISION - 1) == ([START], [], [], 1)
-    assert judged(START, later, others=MESSAGES_UNTIL_DECISION) == ([START, later], [], [PAUSE], 0)
-
-
-@pytest.mark.parametrize(("count", "expected"), [(1, ([START], [TOO_OLD], [], 0)),
-                                                 (2, ([START, LATE, LATE + PERIOD], [], [SET_BACK], 0))])  # fmt: skip
-def test_a_single_late_message_sets_no_clock_back_however_long_it_waits(count: int, expected: object) -> None:
-    assert judged(START, *run(LATE, count), others=MESSAGES_UNTIL_DECISION) == expected
-
-
-@pytest.mark.parametrize(("step", "is_held"), [(MAX_GAP, False), (MAX_GAP + 1, True)])
-def test_a_pause_is_longer_than_the_longest_gap(step: int, is_held: bool) -> None:
-    used, _, _, held = judged(START, START + step)
-    assert (used, held) == ([START] if is_held else [START, START + step], is_held)
-    _, refused, _, held = judged(START, START - step)
-    assert (refused, held) == ([] if is_held else [NOT_LATER], is_held)
-
-
-def test_the_one_that_shows_a_pause_is_within_the_longest_gap() -> None:
-    later = START + 10 * MAX_GAP
-    assert judged(START, later, later + MAX_GAP)[0] == [START, later, later + MAX_GAP]
-    assert judged(START, later, later + MAX_GAP + 1)[0] == [START]
+@pytest.mark.parametrize("case", JUDGED)
+def test_which_stamps_pass(case: str) -> None:
+    stamps, others, expected = JUDGED[case]
+    assert judged(*stamps, others=others) == expected
 
 
 @pytest.mark.parametrize("earlier", [0, 1, MAX_GAP])
@@ -95,12 +86,6 @@ def test_one_that_comes_again_or_late_confirms_no_pause(earlier: int) -> None:
     assert (used, turns, held + len(refused)) == ([START], [], 2)
     after = run(later + PERIOD, 3)
     assert judged(START, later, later - earlier, *after) == ([START, later, *after], [NOT_LATER], [PAUSE], 0)
-
-
-def test_late_ones_and_those_from_the_future_do_not_confirm_each_other() -> None:
-    used, refused, turns, held = judged(START, LATE, START + 10 * MAX_GAP, LATE)
-    assert (used, turns, held) == ([START], [], 1)
-    assert refused == [TOO_OLD, FROM_THE_FUTURE]
 
 
 def test_sources_go_on_in_the_order_in_which_they_came_first() -> None:

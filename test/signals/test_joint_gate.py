@@ -148,19 +148,6 @@ def test_a_fault_is_refused_and_leaves_no_trace(fault: str, recording: Recording
     assert all(reason in why for why in new)
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_refused_does_not_depend_on_how_many_come_at_once(fault: str) -> None:
-    recording = Recording("simulated")
-    recording.shorten(420)
-    FAULTS[fault][0](recording, np.concatenate([recording.chosen(6), recording.chosen(6) + 1]))
-    expected = recording.read(1)
-    for size in (7, 130, 1000):
-        samples, refused, noted = recording.read(size)
-        assert_equal(samples, expected[0])
-        assert (refused, noted) == expected[1:]
-    assert sum(expected[1].values()) >= 12
-
-
 @pytest.mark.parametrize("leap", [1.5, 2.0 * np.pi - 0.8])
 def test_a_position_that_leaps_begins_a_segment(recording: Recording, leap: float) -> None:
     """As of a simulation that was reset: nothing is refused, what is far from the leap is as it was, and no sample

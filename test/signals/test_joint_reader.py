@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.signals.joint_messages import JointReader, LockedJoints, RejectedError
-from geomid_ros.signals.joint_state_merger import JointStateMerger
+from geomid_ros.signals.joint_messages import JointReader, JointStateMerger, LockedJoints
 from geomid_ros.signals.message_batch import plausible
 from geomid_ros.signals.messages import Block
 
-from .feeding import START, read
+from .feeding import START, RejectedError, read
 from .sent import JointMessage
 
 NAMES = ("a", "b")
@@ -102,31 +101,30 @@ def test_the_same_numbers_again_are_frozen_though_an_effort_is_not_believed(monk
         read(own, message(0, stamp=START + STEP))
 
 
-@pytest.mark.parametrize(("velocity", "frozen"), [((1.0, 0.0), True), ((0.0, -1.0), True), ((0.009, 0.0), False)])
-def test_the_same_numbers_again_are_frozen_if_the_robot_moves(velocity: tuple[float, float], frozen: bool) -> None:
-    own = reader()
-    read(own, message(0, velocity=velocity))
-    again = message(0, velocity=velocity, stamp=START + STEP)
-    if frozen:
-        with pytest.raises(RejectedError, match="frozen"):
-            read(own, again)
-    else:
-        read(own, again)
-    read(own, message(2, velocity=velocity))
-
-
-@pytest.mark.parametrize(("step", "frozen"), [(0.011, True), (0.009, False)])
-def test_without_velocities_positions_tell_whether_the_robot_moves(step: float, frozen: bool) -> None:
-    """More than a hundredth of a radian per second, here in a second."""
+@pytest.mark.parametrize(
+    ("step", "velocity", "frozen"),
+    [
+        (0.0, (1.0, 0.0), True),
+        (0.0, (0.0, -1.0), True),
+        (0.0, (0.009, 0.0), False),
+        (0.011, (), True),
+        (0.009, (), False),
+    ],
+)
+def test_the_same_numbers_again_are_frozen_if_the_robot_moves(
+    step: float, velocity: tuple[float, ...], frozen: bool
+) -> None:
+    """By more than a hundredth of a radian per second; without velocities positions tell, here in a second."""
     own, second = reader(), 1_000_000_000
-    read(own, message(0, position=(0.0, 0.0), velocity=()))
-    read(own, message(1, position=(0.0, -step), velocity=(), stamp=START + second))
-    again = message(1, position=(0.0, -step), velocity=(), stamp=START + 2 * second)
+    read(own, message(0, position=(0.0, 0.0), velocity=velocity))
+    read(own, message(1, position=(0.0, -step), velocity=velocity, stamp=START + second))
+    again = message(1, position=(0.0, -step), velocity=velocity, stamp=START + 2 * second)
     if frozen:
         with pytest.raises(RejectedError, match="frozen"):
             read(own, again)
     else:
         read(own, again)
+    read(own, message(300, velocity=velocity))
 
 
 def test_one_number_that_changes_is_enough() -> None:
@@ -201,8 +199,7 @@ def test_a_joint_comes_with_the_same_others() -> None:
         ("x", "none of the"),
         ("", "no joint names"),
     ):
-        with pytest.raises(RejectedError, match=said):
-            parts.part(tuple(names))
+        assert said in parts.part(tuple(names))
 
 
 def test_efforts_that_are_held_are_the_driver_s_fault_and_told_once() -> None:

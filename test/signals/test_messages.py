@@ -67,13 +67,6 @@ def accepted(*parsed: Any) -> tuple[list[tuple[str, int, list[float]]], SignalPi
     return [(each.topic, int(each.stamps[0]), each.values[0].tolist()) for each in seen], pipeline
 
 
-@pytest.mark.parametrize(("seconds", "nanoseconds"), [(1, 1_000_000_000), (1, 4_294_967_295), (-1, 5), (1, -1)])
-def test_a_stamp_out_of_range_is_rejected(seconds: int, nanoseconds: int) -> None:
-    found, pipeline = accepted(parse(JOINT_STATES, joint_state(seconds, nanoseconds)))
-    assert not found
-    assert pipeline.ledger.topics[JOINT_STATES].rejected == {"stamp is not valid": 1}
-
-
 ARRAYS = {"list": list, "tuple": tuple, "numpy": np.array, "array": lambda numbers: array("d", numbers)}
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.signals.kernels import GridValues, filtered
-from geomid_ros.signals.streams import Grid, PoseSegment, Segment, Stream, VectorSegment
+from geomid_ros.signals.streams import Grid, PoseSegment, Stream, VectorSegment
 from geomid_ros.types import FloatArray
 
 PERIOD = 10_000_000  # [ns]
@@ -23,11 +23,11 @@ def stamps(count: int, step: int = PERIOD, offset: int = 0) -> list[int]:
     return [START + offset + index * step for index in range(count)]
 
 
-def push(target: Segment | Stream[VectorSegment], stamp: int, values: FloatArray) -> None:
+def push(target: VectorSegment | Stream[VectorSegment], stamp: int, values: FloatArray) -> None:
     target.push(np.array([stamp]), values[None])
 
 
-def filled(segment: Segment, times: list[int], values: FloatArray | None = None) -> Segment:
+def filled(segment: VectorSegment, times: list[int], values: FloatArray | None = None) -> VectorSegment:
     for index, stamp in enumerate(times):
         push(segment, stamp, np.array([float(stamp - START)]) if values is None else values[index])
     return segment
@@ -80,31 +80,19 @@ def test_vectors_are_ready_where_their_window_is_on_the_grid(offset: int) -> Non
     np.testing.assert_allclose(second[:, 0], 0.0, atol=1e-3 * 1e9)
 
 
-class TestGridValues:
-    def test_what_is_appended_is_there_until_it_is_dropped(self) -> None:
-        values, rng, expected, first = GridValues(), np.random.default_rng(1), np.zeros((0, 2)), 100
-        assert (values.end, len(values.values)) == (0, 0)
-        end = first
-        for _ in range(200):
-            new = rng.normal(size=(int(rng.integers(1, 6)), 2))
-            values.extend(end, new)
-            expected, end = np.concatenate([expected, new]), end + len(new)
-            drop = int(rng.integers(0, 7))
-            values.drop_before(first + drop)
-            kept = min(drop, len(expected))
-            expected, first = expected[drop:], first + drop
-            if len(expected) == 0:
-                first = end = values.end
-            assert kept <= drop
-            np.testing.assert_array_equal(values.values, expected)
-            assert (values.first, values.end) == (first, end)
-            assert len(values._room) <= 8 * (len(values.values) + 10)
-
-    def test_dropping_before_the_first_does_nothing(self) -> None:
-        values = GridValues()
-        values.extend(10, np.ones((4, 1)))
-        values.drop_before(9)
-        assert (values.first, values.end) == (10, 14)
+def test_what_is_appended_is_there_until_it_is_dropped() -> None:
+    values, rng, expected = GridValues(), np.random.default_rng(1), np.zeros((0, 2))
+    assert (values.end, len(values.values)) == (0, 0)
+    first = end = 100
+    for _ in range(50):
+        new = rng.normal(size=(int(rng.integers(1, 6)), 2))
+        values.extend(end, new)
+        drop = int(rng.integers(-1, len(expected) + 1))  # before the first: nothing
+        values.drop_before(first + drop)
+        expected, end = np.concatenate([expected, new])[max(drop, 0) :], end + len(new)
+        first += max(drop, 0)
+        np.testing.assert_array_equal(values.values, expected)
+        assert (values.first, values.end) == (first, end)
 
 
 def test_rows_that_are_asked_for_are_those_of_the_whole() -> None:
