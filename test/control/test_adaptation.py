@@ -21,7 +21,6 @@ from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import FillOptions
 from geomid_ros.control.correction import (
     FASTEST,
-    LARGEST_DELAY_RATIO,
     LARGEST_SHARE,
     LONGEST_FAULT,
     MARGIN,
@@ -112,9 +111,9 @@ def test_twice_the_delay_is_stable_and_four_times_is_not() -> None:
         return float(np.max(np.abs(errors[-20 * steps :])))
 
     assert left(1.0) < 1e-9
-    assert left(LARGEST_DELAY_RATIO) < 1e-9
+    assert left(1.0 / MARGIN) < 1e-9
     assert left(4.0) > 1e3
-    assert LARGEST_DELAY_RATIO < np.pi / 2.0 / MARGIN < 4.0
+    assert 1.0 / MARGIN < np.pi / 2.0 / MARGIN < 4.0
 
 
 class Arm:
