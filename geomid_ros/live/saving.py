@@ -20,11 +20,10 @@ from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
 from geomid_ros.files.disk import check_writable
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.evidence.features import KnownRemainder
-from geomid_ros.live.threads import Activity, start_daemon, start_later
+from geomid_ros.live.threads import PATIENCE, Activity, start_daemon, start_later
 from geomid_ros.live.worker import LONG, Worker
 from geomid_ros.session.session import Session, save
 
-_PATIENCE = 0.4  # [s] for the last checkpoint
 HANDOVER = 5.0  # [s] for the last checkpoint of a session if another one is to use its folder
 _LATEST = 4.8  # [s] latest time of an answer
 _LATE = _LATEST / 2.0  # [s] to wait for an estimate from all data; then the last one is saved
@@ -94,7 +93,7 @@ class Checkpoints:
         self._rows = session.identifier.rows
         self._thread = start_daemon("checkpoints", self._write_repeatedly, disk)
 
-    def close(self, patience: float = _PATIENCE) -> None:
+    def close(self, patience: float = PATIENCE) -> None:
         """Write a last checkpoint, and end; wait for it no longer than ``patience`` [s]."""
         self._ending.set()
         if self._thread is not None:

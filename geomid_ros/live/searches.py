@@ -26,9 +26,6 @@ from geomid_ros.session.recordings import samples_of_messages
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages
 
-_PATIENCE = 0.2  # [s] for a search to notice that it was closed
-
-
 R = TypeVar("R", bound="FoundGap | Payload")
 
 
@@ -84,8 +81,6 @@ class BackgroundSearch(Generic[R]):
         with self._lock:
             self._ended.set()
             self.status = None
-        if self._thread is not None:
-            self._thread.join(_PATIENCE)
 
     def _run(self, look: Callable[[Progress], R], ended: threading.Event) -> None:
         try:

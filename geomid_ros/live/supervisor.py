@@ -17,7 +17,8 @@ from geomid_ros.files.models.readers import URDF
 from geomid_ros.live.saving import HANDOVER, SLOW, Checkpoints, SaveOutcome, Saving
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Failures, Listener
-from geomid_ros.live.worker import PATIENCE, Worker
+from geomid_ros.live.threads import PATIENCE
+from geomid_ros.live.worker import Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import locked_note, with_locked
 from geomid_ros.session.session import Session

@@ -16,7 +16,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Inbox, Received, Request
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Failures, Listener, Status
-from geomid_ros.live.threads import Activity, start_daemon
+from geomid_ros.live.threads import PATIENCE, Activity, start_daemon
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.payload_watch import with_payload
@@ -25,7 +25,6 @@ from geomid_ros.session.training import WrenchGuard
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Block, Decoder, message_type
 from geomid_ros.types import FloatArray, IntArray
 
-PATIENCE = 0.7  # [s] for both threads to end; with the last checkpoint, shutdown stays below two seconds
 _TRANSITION = 2_000_000_000  # [ns] from the start of a gap until all rows show it
 _LATENCIES = 10_000  # latest samples whose latency is kept
 LONG = 1.0  # [s] longest normal duration of a thread's task; a solve may take ``solve_period`` if that is longer
