@@ -224,12 +224,10 @@ class Solver:
     def _solve_for_new_rows(self) -> None:
         with self.activity.doing(SOLVING):
             self._detect_changes()
-            rows, identifier = self._session.identifier.rows, self._session.identifier
-            if rows == self._solved_rows:
+            identifier, solved = self._session.identifier, self._solved_rows
+            if (rows := identifier.rows) == solved:
                 return
-            much_is_new = (
-                self._forgets or bool(self.problem) or identifier.has_grown_beyond(self._solved_rows, NEW_SHARE)
-            )
+            much_is_new = self._forgets or bool(self.problem) or identifier.has_grown_beyond(solved, NEW_SHARE)
             if self._pace.is_due(rows, much_is_new):
                 self._solve_once(self._warm_start())
             else:
@@ -238,8 +236,7 @@ class Solver:
     def _solve_for_last_rows(self) -> None:
         """Update the estimate at the end if a warm start suffices; a longer solve is not waited for."""
         warm = self._warm_start()
-        is_quick = warm is not None and not warm.effects_alone
-        if is_quick and self._session.identifier.rows != self._solved_rows:
+        if warm and not warm.effects_alone and self._session.identifier.rows != self._solved_rows:
             with self.activity.doing(SOLVING):
                 self._solve_once(warm)
 

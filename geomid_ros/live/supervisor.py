@@ -44,12 +44,7 @@ class Supervisor:
     """Runs one worker at a time, none before the first description. Restarts what hangs in it a few times."""
 
     def __init__(
-        self,
-        configuration: Configuration,
-        ledger: Ledger,
-        log: Log,
-        listener: Listener,
-        solving: SolvingProcess | None,
+        self, configuration: Configuration, ledger: Ledger, log: Log, listener: Listener, solving: SolvingProcess | None
     ) -> None:
         """
         Args:
@@ -59,11 +54,10 @@ class Supervisor:
             listener: receives the results of all workers.
             solving: the process that solves; None to solve in this one.
         """
-        self._configuration = configuration
-        self._ledger = ledger
-        self._log = log
+        self._configuration, self._ledger, self._log = configuration, ledger, log
         self._listener = listener
-        self._solving = solving
+        self.solving = solving
+        """The process that solves; None to solve in this one."""
         self.saving = Saving(configuration["output_folder"])
         """Writes the workers' estimates."""
         self.failures = Failures()
@@ -83,11 +77,6 @@ class Supervisor:
         """Sentences on what hangs, on what hung without an estimate since, and on what is wrong with saving."""
         return (*self._hanging, self._hung, *self.saving.problems)
 
-    @property
-    def warning(self) -> str:
-        """Warning that the solving process ended; empty if it did not."""
-        return self._solving.warning if self._solving else ""
-
     def build(self, urdf: str, source: str, absent: tuple[str, ...] | None = None) -> None:
         """Begin to identify the robot of a description.
 
@@ -101,9 +90,9 @@ class Supervisor:
         """
         absent = self._absent_before(urdf, source) if absent is None else absent
         session = self.new_session(urdf, source, absent)
-        if self._solving:
-            session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
-            session.review.judge_with(self._solving.remote(CheckTask.judge))
+        if self.solving:
+            session.identifier.solve_with(self.solving.remote(EstimationTask.solve))
+            session.review.judge_with(self.solving.remote(CheckTask.judge))
         if self.worker is not None:
             self.worker.close()
             self._period = self._latest_period
@@ -119,22 +108,17 @@ class Supervisor:
 
     def new_session(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> Session:
         """Return a session without rows. Arguments and errors as of :meth:`build`."""
-        return Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
+        return Session(urdf, with_locked(self._configuration, absent), source, self._ledger, (URDF,))
 
     def _absent_before(self, urdf: str, source: str) -> tuple[str, ...]:
         """Joints that were locked when the last checkpoint was written, as nobody published them."""
-        folder = self._configuration["checkpoint.folder"]
+        folder, locked = self._configuration["checkpoint.folder"], self._configuration["locked_joints"]
         meaning = last_meaning(Path(folder).resolve()) if folder else {}
         with suppress(InputError, TypeError):  # it may be of another robot or configuration, or crafted
-            absent = tuple(
-                joint for joint in meaning.get("locked_joints", ()) if joint not in self._configuration["locked_joints"]
-            )
+            absent = tuple(joint for joint in meaning.get("locked_joints", ()) if joint not in locked)
             if absent and self.new_session(urdf, source, absent).meaning == meaning:
                 return absent
         return ()
-
-    def _with_locked(self, absent: tuple[str, ...]) -> Configuration:
-        return with_locked(self._configuration, absent) if absent else self._configuration
 
     def reconfigure(self, configuration: Configuration, *, rebuild: bool) -> None:
         """Solve with another configuration from now on; with ``rebuild`` only from the next :meth:`build` on.
@@ -146,7 +130,7 @@ class Supervisor:
             check_cutoff(configuration["filter.cutoff"], self._latest_period)
         self._configuration = configuration
         if self.worker is not None and not rebuild:
-            self.worker.solver.reconfigure(self._with_locked(self._absent))
+            self.worker.solver.reconfigure(with_locked(self._configuration, self._absent))
 
     @property
     def _latest_period(self) -> float:
@@ -159,14 +143,13 @@ class Supervisor:
         if not self._configuration["checkpoint.folder"]:
             return
         folder = Path(self._configuration["checkpoint.folder"]).resolve()
-        self.checkpoints = Checkpoints(session, folder, self._configuration["checkpoint.period"])
-        if self.checkpoints.restored is not None and self.worker is None:
-            self._ledger.restore(self.checkpoints.restored.accounts)
-        status = self.checkpoints.status
-        if status.problem:
-            self._log.error(status.problem)
-        elif self.checkpoints.beginning:
-            self._log.info(self.checkpoints.beginning)
+        self.checkpoints = kept = Checkpoints(session, folder, self._configuration["checkpoint.period"])
+        if kept.restored is not None and self.worker is None:
+            self._ledger.restore(kept.restored.accounts)
+        if problem := kept.status.problem:
+            self._log.error(problem)
+        elif kept.beginning:
+            self._log.info(kept.beginning)
 
     def reset(self) -> None:
         """Discard all rows, and forget that threads hung."""
@@ -202,7 +185,7 @@ class Supervisor:
             self._hung = f"message processing hung and was restarted, {self._restarts} of at most {MOST_RESTARTS} times"
             self.build(worker.session.urdf, "robot_description", self._absent)
             return
-        if solver and self._solving and self._solving.give_up():
+        if solver and self.solving and self.solving.give_up():
             worker.solver.activity.restart_timer()
             self._hung, self._solves, solver = "the solver hung and was restarted", worker.solver.solves, False
         elif worker.solver.solves > self._solves:
@@ -241,7 +224,9 @@ class Supervisor:
         """Log what became of an estimate."""
         if not outcome.done():
             self._log.error(f"the last estimate may not be saved: {SLOW} after {time.monotonic() - begin:.1f} s")
-        elif outcome.result()[0]:
-            self._log.info(outcome.result()[1])
+            return
+        is_saved, sentence = outcome.result()
+        if is_saved:
+            self._log.info(sentence)
         else:
-            self._log.error(f"the last estimate is not saved: {outcome.result()[1]}")
+            self._log.error(f"the last estimate is not saved: {sentence}")

@@ -45,6 +45,7 @@ class Rippling:
         self.messages = [
             AcceptedMessages(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, measured]))
         ]
+        self.session.recent(self.messages[0])
         pipeline = self.session.new_pipeline()
         pipeline.push_accepted(self.messages[0])
         samples = pipeline.collect()
@@ -55,7 +56,7 @@ class Rippling:
     @property
     def worker(self) -> Any:
         """As much of one as saving asks."""
-        return SimpleNamespace(session=self.session, messages=lambda: self.messages)
+        return SimpleNamespace(session=self.session)
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +120,7 @@ def test_it_is_of_all_messages_that_the_estimate_is_from_whether_a_gap_is_open_o
 ) -> None:
     (whole,) = arm.messages
     early = [whole.before(int(whole.stamps[len(whole) // 2]))]
-    worker: Any = SimpleNamespace(session=arm.session, messages=lambda: arm.messages, messages_before_gap=lambda: early)
+    worker: Any = SimpleNamespace(session=arm.session, messages_before_gap=lambda: early)
     saving.begin(worker, arm.estimate, lambda _: None)
     saved = identified_session(arm.session, arm.estimate)
     expected, other = (remainder_in_messages(saved, each) for each in (arm.messages, early))
@@ -132,7 +133,9 @@ def test_it_is_of_all_messages_that_the_estimate_is_from_whether_a_gap_is_open_o
     assert not np.allclose(remainder.means[1], other.means[1], rtol=1e-3)
 
 
-def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_path: Path) -> None:
+def test_it_is_not_given_to_another_estimate(
+    arm: Rippling, saving: Saving, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """That was saved meanwhile."""
     other = arm.session.identifier.solve()
 
@@ -140,7 +143,8 @@ def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_
         saving.save_last(arm.session, other).result(PATIENCE)
         return arm.messages
 
-    saving.begin(SimpleNamespace(session=arm.session, messages=save_other), arm.estimate, lambda _: None)
+    monkeypatch.setattr(arm.session.recent, "entries", save_other)
+    saving.begin(arm.worker, arm.estimate, lambda _: None)
     assert read_posterior(tmp_path / POSTERIOR).parameters.tolist() == other.posterior.parameters.tolist()
     assert read_remainder(tmp_path / POSTERIOR) is None
 
