@@ -311,7 +311,7 @@ class GapReader:
                 f"{len(simulated)} recordings of a simulator for {len(fitted)} bags: give --simulated once "
                 "for each bag, in their order"
             )
-        cutoff = gap_cutoff(self.session, self._rate([*fitted, *validate, *simulated]))
+        cutoff = gap_cutoff(self.session, self._rate([*self.bags.all, *simulated]))
         recorded = [self._whole(path, cutoff) for path in fitted]
         twins = [self._whole(path, cutoff) for path in simulated]
         for samples in recorded:
@@ -349,13 +349,13 @@ class GapReader:
         Args:
             topic: read the joints' set-points on this topic instead of the joint states.
         """
-        shares = [(path, share) for path, share in self.bags.held_out_fractions if share > 0.0]
-        cutoff = min(SHARP_CUTOFF, self._rate([*self.bags.fitted, *self.bags.validate]) / LOWEST_RATE_PER_CUTOFF)
-        return [self._late(path, share, cutoff, topic) for path, share in shares]
-
-    def _late(self, path: Path, share: float, cutoff: float, topic: str) -> Samples:
-        _, late = split_held_out(self._samples(path, self.session.new_pipeline(cutoff), topic), share)
-        return Samples.concatenate([late])  # a copy, so that the whole recording is not kept in memory
+        cutoff, late = min(SHARP_CUTOFF, self._rate(self.bags.all) / LOWEST_RATE_PER_CUTOFF), list[Samples]()
+        for path, share in self.bags.held_out_fractions:
+            if share > 0.0:
+                samples = self._samples(path, self.session.new_pipeline(cutoff), topic)
+                # A copy, so that the whole recording is not kept in memory.
+                late.append(Samples.concatenate([split_held_out(samples, share)[1]]))
+        return late
 
     def _whole(self, path: Path, cutoff: float) -> Samples:
         return self._samples(path, gap_pipeline(self.session, cutoff))
@@ -418,11 +418,6 @@ def _rms_differences(a: FloatArray, b: FloatArray) -> FloatArray:
     """RMS difference of positions ``(joints,)`` at the time shift that minimises the total difference."""
     longest = round(_LONGEST_SHIFT / _STEP)
     shifts = [shift for shift in range(-longest, longest + 1) if abs(shift) < min(len(a), len(b))]
-    differences = [_rms(a[max(shift, 0) :], b[max(-shift, 0) :]) for shift in shifts]
-    return differences[int(np.argmin([np.sum(rms**2) for rms in differences]))]
-
-
-def _rms(a: FloatArray, b: FloatArray) -> FloatArray:
-    count = min(len(a), len(b))
-    rms: FloatArray = np.sqrt(np.mean((a[:count] - b[:count]) ** 2, axis=0))
-    return rms
+    pairs = [(a[max(shift, 0) :], b[max(-shift, 0) :]) for shift in shifts]
+    squares = [np.mean((a[: len(b)] - b[: len(a)]) ** 2, axis=0) for a, b in pairs]
+    return np.asarray(np.sqrt(min(squares, key=np.sum)))

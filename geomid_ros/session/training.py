@@ -75,15 +75,13 @@ class TrainingData:
         if not len(samples):
             return
         self._any = True
-        self._measured = self._measured or any(map(self._is_measured, samples.in_pieces()))
+        targets = (self._session.model.rows(piece).targets for piece in samples.in_pieces())
+        self._measured = self._measured or any(not np.all(np.isnan(each)) for each in targets)
         if self._standing is None and np.any(samples.standing):
             self._standing = samples
         self._low = np.minimum(self._low, np.min(samples.position, axis=0))
         self._high = np.maximum(self._high, np.max(samples.position, axis=0))
         self._fit(samples)
-
-    def _is_measured(self, samples: Samples) -> bool:
-        return not np.all(np.isnan(self._session.model.rows(samples).targets))
 
     def check(self, bags: Sequence[Path]) -> None:
         """Refuse the data like :func:`check_measured`."""
