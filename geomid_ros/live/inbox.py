@@ -78,8 +78,9 @@ class Inbox:
                 self._ready.wait_for(lambda: self._tasks)
                 task = self._tasks.popleft()
                 if isinstance(task, list):
-                    while len(task) < MOST_AT_ONCE and self._tasks and isinstance(self._tasks[0], list):
-                        task += self._tasks.popleft()
+                    while len(task) < MOST_AT_ONCE and self._tasks and isinstance(more := self._tasks[0], list):
+                        task += more
+                        self._tasks.popleft()
                     self._waiting -= len(task)
                     self._bytes -= sum(len(message.data) for message in task)
             if task is None:

@@ -27,7 +27,8 @@ from geomid_ros.signals.ledger import Ledger
 
 MOST_RESTARTS = 3  # of the intake, as a replaced thread cannot be ended
 HANGING = 120.0  # [s] longer than any task on a busy machine, the first solve of a humanoid included
-_PUBLISHERS_START = 3.0  # [s] within which messages of all published joints arrive
+PUBLISHERS_START = 3.0
+"""Time [s] within which messages of all published joints arrive."""
 
 _Saved: TypeAlias = dict[Estimate, Future[SaveOutcome]]  # outcome of each estimate that was saved at the end
 
@@ -166,7 +167,7 @@ class Supervisor:
         absent = (*(joint for joint in self._absent if joint not in session.received_joints), *session.lockable)
         if absent == self._absent:
             self._agreed = now
-        elif now - self._agreed > _PUBLISHERS_START:
+        elif now - self._agreed > PUBLISHERS_START:
             self._agreed = now
             try:
                 self.build(session.urdf, "robot_description", absent)

@@ -23,10 +23,10 @@ from geomid_ros.monitoring.payload_watch import with_payload
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import WrenchGuard
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Block, Decoder, message_type
+from geomid_ros.signals.settings import MOST_WAITING
 from geomid_ros.types import FloatArray, IntArray
 
 _TRANSITION = 2_000_000_000  # [ns] from the start of a gap until all rows show it
-_LATENCIES = 10_000  # latest samples whose latency is kept
 LONG = 1.0  # [s] longest normal duration of a thread's task; a solve may take ``solve_period`` if that is longer
 
 
@@ -49,7 +49,7 @@ class Worker:
         self._listener = listener
         self._rows_lost: Counter[str] = Counter()  # replaced, never modified
         self._lock = threading.Lock()  # held briefly, for the next field
-        self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
+        self._receipt_to_row: deque[float] = deque(maxlen=MOST_WAITING)  # of the latest samples
         self._wrenches = self._new_guard()
         self._inbox = Inbox()
         self._intake = start_daemon("intake", self._take_messages)

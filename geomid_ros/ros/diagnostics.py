@@ -18,6 +18,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.saving import CheckpointStatus
 from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Status
+from geomid_ros.live.supervisor import PUBLISHERS_START
 from geomid_ros.model.channels import is_of
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.monitoring.payload_watch import CarriedPayload
@@ -96,13 +97,13 @@ class Diagnostics:
         return array
 
     def _without_rows(self, status: Status, new: Status) -> list[str]:
-        """Complain if accepted messages have yielded no rows for longer than the filter needs."""
+        """Complain if accepted messages have yielded no rows for longer than all publishers and the filter need."""
         accepted = any(account.accepted > 0 for account in new.accounts.values())
         if not (status.active and accepted and new.rows_made == 0):
             self._barren, self._fruitful = 0, status
             return []
         self._barren += 1
-        if self._barren <= _LONGEST_BARREN + 2.0 * status.lag:
+        if self._barren <= PUBLISHERS_START + 2.0 * status.lag:
             return []
         advice = "check for pauses in every filter window, or a rate too low for it"
         since = status.since(self._fruitful)
@@ -148,7 +149,6 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
 
 MOST_LISTED = 8
 """Largest number of reasons in the diagnostics, or of names in a line of the console."""
-_LONGEST_BARREN = 3.0  # [s], in addition to the filter's window
 _MANY = 10  # messages without an accepted one, which is no accident
 
 

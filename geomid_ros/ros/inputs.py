@@ -128,7 +128,7 @@ class _Input:
     kind: type | None
     subscription: Subscription = field(init=False)
     number: int | None = None
-    latest: float = 0.0
+    latest: float = -math.inf
     policy: str = "quality of service"
 
 
@@ -161,7 +161,7 @@ class Inputs:
         """
         # Best effort matches any publisher; the depth bridges pauses of Python at 1 kHz.
         qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._subscribe(kind, name, lambda _: None, qos, several=several, polled=True)
+        self._subscribe(_Input(name, several, kind), kind, lambda _: None, qos)
 
     def listen_as(self, configuration: Configuration) -> None:
         """Subscribe to the data that a configuration asks for. Raises InputError as :meth:`subscribe_data`."""
@@ -177,7 +177,7 @@ class Inputs:
 
     def subscribe(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe to a topic other than data."""
-        self._subscribe(kind, name, callback, qos, several=True, polled=False)
+        self._subscribe(_Input(name, several=True, kind=None), kind, callback, qos)
 
     def close(self) -> None:
         """Unsubscribe from data."""
@@ -215,10 +215,8 @@ class Inputs:
         entry.latest = times[-1]
         return [Received(entry.name, data, at) for (data, _), at in zip(taken, times, strict=True)]
 
-    def _subscribe(
-        self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, *, several: bool, polled: bool
-    ) -> None:
-        entry = _Input(name, several, kind if polled else None)
+    def _subscribe(self, entry: _Input, kind: type, callback: Callable[[Any], None], qos: QoSProfile) -> None:
+        name, polled = entry.name, entry.kind is not None
         events = SubscriptionEventCallbacks(
             message_lost=partial(self._on_lost, entry), incompatible_qos=partial(self._on_incompatible, entry)
         )
@@ -277,10 +275,8 @@ class Inputs:
                 name, why = _full_name(publisher), f"{entry.policy} ({reason.rstrip(';')})"
                 problems.append(f"{topic}: no messages from {name}, incompatible QoS: {why}")
         if len(usable) > 1 and not entry.several:
-            named = ", ".join(sorted(map(_full_name, usable)))
-            problems.append(
-                f"{topic} has {len(usable)} publishers; all its messages are dropped until one is left: {named}"
-            )
+            dropped = f"{topic} has {len(usable)} publishers; all its messages are dropped until one is left"
+            problems.append(f"{dropped}: {', '.join(sorted(map(_full_name, usable)))}")
         return problems
 
 

@@ -219,8 +219,8 @@ class FeedforwardRelay:
         values: dict[str, Any] = {name: parameter.default for name, parameter in table.items()}
         values |= given_parameters(node, table)
         self._model, controller, heaviest = values["model"], values["controller"], values["heaviest_payload"]
-        files = {name: values[name] or None for name in ("urdf", "config")}
-        self._options = FillOptions(**files, tolerance=values["tolerance"], force=values["force"])
+        urdf, config, force = values["urdf"] or None, values["config"] or None, values["force"]
+        self._options = FillOptions(urdf, config=config, tolerance=values["tolerance"], force=force)
         self._read_at = self._changed_at()
         self._session = robot_to_move(self._options, self._model or None)
         self._filling = ThreadPoolExecutor(1)

@@ -62,7 +62,7 @@ class Parameter:
         checked: Value = _real(value) if isinstance(self.default, float) else _of_python(value)
         if type(checked) is not type(self.default):
             raise InputError(f"{name} is {checked!r}, expected {_KINDS[type(self.default)]}")
-        if self.choices and checked not in self.choices:
+        if isinstance(checked, str) and self.choices and checked not in self.choices:
             raise unknown_name(f"value of {name}", checked, self.choices)
         low, high = self.minimum, self.maximum
         if isinstance(checked, float) and low is not None and high is not None and not low <= checked <= high:
@@ -72,10 +72,10 @@ class Parameter:
 
 def _checked_list(name: str, value: Any, kind: type) -> list[Any]:
     value = _of_python(value)
-    convert, expected = (_real, "finite numbers") if kind is float else (_of_python, "texts")
-    entries = [*map(convert, value if isinstance(value, list | tuple) else [value])]
+    convert = _real if kind is float else _of_python
+    entries: list[Any] = [convert(entry) for entry in (value if isinstance(value, list | tuple) else [value])]
     if not all(isinstance(entry, kind) and (kind is str or np.isfinite(entry)) for entry in entries):
-        raise InputError(f"{name} is {value!r}, expected a list of {expected}")
+        raise InputError(f"{name} is {value!r}, expected a list of {'finite numbers' if kind is float else 'texts'}")
     return [entry for entry in entries if entry != ""]
 
 

@@ -44,7 +44,6 @@ from geomid_ros.types import FloatArray
 
 _LENGTHS = 0.1  # largest relative difference in duration of two recordings of one motion
 _MOTIONS = 0.5  # largest RMS difference in position / larger standard deviation: a simulation lags and droops
-_STILL = 0.02  # [rad, m] standard deviation assumed for a joint that does not move
 _LONGEST_SHIFT = 2.0  # [s] between the recordings' beginnings and those of the motion in them
 _STEP = 0.02  # [s] of the grid on which positions are compared
 MESSAGES_FOR_RATE = 64
@@ -397,7 +396,8 @@ def _check_twin(session: Session, simulated: Path, twin: Samples, recorded: Path
             "simulator under the same commands, from their beginning to their end"
         )
     difference = _rms_differences(_resampled(twin), _resampled(measured))
-    motion = np.maximum(np.maximum(np.std(twin.position, axis=0), np.std(measured.position, axis=0)), _STILL)
+    deviations = np.maximum(np.std(twin.position, axis=0), np.std(measured.position, axis=0))
+    motion = np.maximum(deviations, session.configuration["still_distance"])
     worst = int(np.argmax(difference / motion))
     if difference[worst] > _MOTIONS * motion[worst]:
         raise InputError(

@@ -25,10 +25,10 @@ from geomid_ros.excitation.limits import JointState
 from geomid_ros.live.inbox import MOST_AT_ONCE
 from geomid_ros.live.threads import start_daemon
 from geomid_ros.ros.outputs import latched
+from geomid_ros.ros.startup import POLL
 from geomid_ros.signals.messages import JOINT_STATES, parse
 from geomid_ros.simulation.bag import BagWriter
 
-_LOOK = 0.003  # [s] longest wait for a message
 _DESCRIPTION = "robot_description"
 _WRENCH, _STATE, _TEXT = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
 T = TypeVar("T")
@@ -92,9 +92,7 @@ class RobotMonitor:
             topic: of the joint states.
             interrupted: returns True if the user interrupts.
         """
-        self._joints = joints
-        self._interrupted = interrupted
-        self._node = node
+        self._node, self._joints, self._interrupted = node, joints, interrupted
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
         self._new: list[JointState] = []
@@ -113,7 +111,7 @@ class RobotMonitor:
 
     def poll(self) -> list[JointState]:
         """Return the joint states since the last call, or within a moment."""
-        self._executor.spin_once(timeout_sec=_LOOK)
+        self._executor.spin_once(timeout_sec=POLL)
         for _ in range(MOST_AT_ONCE):
             with self._states.handle:
                 taken = self._states.handle.take_message(JointStateMessage, True)
