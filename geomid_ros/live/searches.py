@@ -162,13 +162,14 @@ def look_for_gap(
     )
 
     if before is None:
-        ref = gap_session(session.urdf, session.configuration, "robot_description")
-        result = find_in_messages(ref, messages, known_remainder_of(ref), progress)
-        return FoundGap(result, ref.review.findings, ref.review.warnings(), [*session.notes, *ref.review.settled])
-    ref = identified_session(session, before)
-    result = find_in_messages(ref, messages, remainder_in_messages(ref, earlier, progress), progress)
-    compared = f"{COMPARED}, of {before.rows_accepted} rows"
-    return FoundGap(result, ref.review.findings, ref.review.warnings(), session.notes, compared)
+        ref, compared = gap_session(session.urdf, session.configuration, "robot_description"), ""
+        known = known_remainder_of(ref)
+    else:
+        ref, compared = identified_session(session, before), f"{COMPARED}, of {before.rows_accepted} rows"
+        known = remainder_in_messages(ref, earlier, progress)
+    result = find_in_messages(ref, messages, known, progress)
+    notes = session.notes if compared else [*session.notes, *ref.review.settled]
+    return FoundGap(result, ref.review.findings, ref.review.warnings(), notes, compared)
 
 
 NO_DATA = "no data yet"

@@ -245,12 +245,11 @@ class Inputs:
 
         With several publishers the numbers cannot be attributed.
         """
-        before, entry.number = entry.number, None
-        if numbers and not entry.several:
-            entry.number = numbers[-1]
-            sequence = numbers if before is None else [before, *numbers]
-            if missing := sum(max(0, after - number - 1) for number, after in pairwise(sequence)):
-                self._ledger.lose(entry.name, missing)
+        sequence = [*([] if entry.number is None else [entry.number]), *numbers]
+        entry.number = numbers[-1] if numbers and not entry.several else None
+        missing = sum(max(0, after - number - 1) for number, after in pairwise(sequence))
+        if entry.number is not None and missing:
+            self._ledger.lose(entry.name, missing)
 
     def _on_lost(self, entry: _Input, event: Any) -> None:
         # Sequence numbers are better: messages beyond the subscription's depth cause no event.

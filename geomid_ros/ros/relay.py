@@ -84,11 +84,9 @@ class AdaptationNode:
 
     def use(self, session: Session) -> None:
         """Restart with another model of the robot; a correction that is off stays off."""
-        reason = self._correction.latch.reason
-        self._session = session
+        reason, self._session = self._correction.latch.reason, session
         self._begin_anew()
-        if reason:
-            self._correction.latch.switch_off(reason)
+        self._correction.latch.switch_off(reason)
 
     def _begin_anew(self) -> None:
         before, self._correction = self._correction, self._new()
@@ -107,8 +105,7 @@ class AdaptationNode:
         rest = np.array([self._position, *np.zeros((2, len(self._joints)))])
         if self._trajectory is None:
             return rest
-        passed = time - self._start
-        order = [self._trajectory.joints.index(joint) for joint in self._joints]
+        passed, order = time - self._start, [self._trajectory.joints.index(joint) for joint in self._joints]
         motion = self._trajectory.states(np.array([passed]))[:3, 0, order]
         if not 0.0 <= passed <= self._trajectory.duration:
             motion[1:] = 0.0

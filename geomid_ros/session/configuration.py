@@ -74,7 +74,8 @@ def _checked_list(name: str, value: Any, kind: type) -> list[Any]:
     value = _of_python(value)
     convert = _real if kind is float else _of_python
     entries: list[Any] = [convert(entry) for entry in (value if isinstance(value, list | tuple) else [value])]
-    if not all(isinstance(entry, kind) and (kind is str or np.isfinite(entry)) for entry in entries):
+    is_valid = all(isinstance(entry, kind) for entry in entries)
+    if not is_valid or (kind is float and not np.all(np.isfinite(entries))):
         raise InputError(f"{name} is {value!r}, expected a list of {'finite numbers' if kind is float else 'texts'}")
     return [entry for entry in entries if entry != ""]
 

@@ -69,20 +69,14 @@ class RecordingFacts:
         ledger = Ledger()
         ledger.add(self.accounts)
         ledger.add(later.accounts)
+        names = ("remarks", "incomplete", "unchecked", "settled")
+        texts = {name: tuple(dict.fromkeys((*getattr(self, name), *getattr(later, name)))) for name in names}
         return RecordingFacts(
             accounts=ledger.topics,
             findings=tuple({finding.sentence: finding for finding in (*self.findings, *later.findings)}.values()),
-            remarks=_once(self.remarks, later.remarks),
             unmeasured=tuple(joint for joint in self.unmeasured if joint in later.unmeasured),
-            incomplete=_once(self.incomplete, later.incomplete),
-            unchecked=_once(self.unchecked, later.unchecked),
-            settled=_once(self.settled, later.settled),
+            **texts,
         )
-
-
-def _once(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
-    """Texts of both, each once."""
-    return tuple(dict.fromkeys((*first, *second)))
 
 
 _OFTEN = "; does the driver publish more often than it measures? What repeats is left out, the rest serves"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -23,7 +23,6 @@ from std_msgs.msg import String
 from geomid_ros.errors import GeomidError
 from geomid_ros.excitation.limits import JointState
 from geomid_ros.live.inbox import MOST_AT_ONCE
-from geomid_ros.live.threads import start_daemon
 from geomid_ros.ros.outputs import latched
 from geomid_ros.ros.startup import POLL
 from geomid_ros.signals.messages import JOINT_STATES, parse
@@ -57,26 +56,22 @@ class Recorder:
         except (OSError, WriterError) as error:
             raise GeomidError(f"{path}: cannot be written ({error})") from error
         self._topics = {topic: self._bag.topic(topic, kind) for topic, kind in topics.items()}
-        self._waiting: SimpleQueue[tuple[str, int, bytes] | None] = SimpleQueue()
-        self._thread = start_daemon("recorder", self._work)
+        self._thread = ThreadPoolExecutor(1)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._waiting.put(None)
-        self._thread.join()
+        self._thread.submit(self._do, self._bag.close)
+        self._thread.shutdown()
 
     def write(self, topic: str, data: bytes) -> None:
         """Record a message as received now."""
-        self._waiting.put((topic, time.time_ns(), data))
+        self._thread.submit(self._do, self._bag.write, self._topics[topic], time.time_ns(), data)
 
-    def _work(self) -> None:
+    def _do(self, act: Callable[..., object], *arguments: Any) -> None:
         try:
-            while (message := self._waiting.get()) is not None:
-                topic, stamp, data = message
-                self._bag.write(self._topics[topic], stamp, data)
-            self._bag.close()
+            act(*arguments)
         except OSError as error:
             self.problem = f"{self.path}: cannot be written ({error.strerror or error})"
 
