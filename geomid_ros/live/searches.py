@@ -152,22 +152,15 @@ def look_for_gap(
     Raises:
         InputError: too little was measured.
     """
-    # Imported late: a third of a node's start, and rarely needed.
-    from geomid_ros.session.gap import (  # noqa: PLC0415
-        find_in_messages,
-        gap_session,
-        identified_session,
-        known_remainder_of,
-        remainder_in_messages,
-    )
+    from geomid_ros.session import gap  # noqa: PLC0415 a third of a node's start, and rarely needed
 
     if before is None:
-        ref, compared = gap_session(session.urdf, session.configuration, "robot_description"), ""
-        known = known_remainder_of(ref)
+        ref, compared = gap.gap_session(session.urdf, session.configuration, "robot_description"), ""
+        known = gap.known_remainder_of(ref)
     else:
-        ref, compared = identified_session(session, before), f"{COMPARED}, of {before.rows_accepted} rows"
-        known = remainder_in_messages(ref, earlier, progress)
-    result = find_in_messages(ref, messages, known, progress)
+        ref, compared = gap.identified_session(session, before), f"{COMPARED}, of {before.rows_accepted} rows"
+        known = gap.remainder_in_messages(ref, earlier, progress)
+    result = gap.find_in_messages(ref, messages, known, progress)
     notes = session.notes if compared else [*session.notes, *ref.review.settled]
     return FoundGap(result, ref.review.findings, ref.review.warnings(), notes, compared)
 

@@ -21,7 +21,7 @@ from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.payload_watch import with_payload
 from geomid_ros.session.session import Session
-from geomid_ros.session.training import WrenchGuard
+from geomid_ros.session.training import Training
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Block, Decoder, message_type
 from geomid_ros.signals.settings import MOST_WAITING
 from geomid_ros.types import FloatArray, IntArray
@@ -50,12 +50,12 @@ class Worker:
         self._rows_lost: Counter[str] = Counter()  # replaced, never modified
         self._lock = threading.Lock()  # held briefly, for the next field
         self._receipt_to_row: deque[float] = deque(maxlen=MOST_WAITING)  # of the latest samples
-        self._wrenches = self._new_guard()
+        self._wrenches = self._new_training()
         self._inbox = Inbox()
         self._intake = start_daemon("intake", self._take_messages)
 
-    def _new_guard(self) -> WrenchGuard:
-        return WrenchGuard(self.session, watched=self.solver.detector.payload is not None)
+    def _new_training(self) -> Training:
+        return Training(self.session, watched=self.solver.detector.payload is not None)
 
     def close(self, patience: float | None = None) -> None:
         """Stop both threads. Waiting messages and a running solve are finished first, but for no longer than
@@ -209,7 +209,7 @@ class Worker:
             return
         with self._lock:
             self._receipt_to_row.extend((time.perf_counter() - received).tolist())
-        if self._wrenches.take(rows):
+        if self._wrenches.check(rows):
             self.solver.begin_anew()
         settled = Rows(rows.coefficients, np.where(uncertain, np.nan, rows.targets))
         trusted = self._wrenches.without_doubtful(settled)
@@ -226,7 +226,7 @@ class Worker:
         self.solver.reset()
         self.session.review.forget()
         self._rows_lost = Counter()
-        self._wrenches = self._new_guard()
+        self._wrenches = self._new_training()
 
 
 def _completion_times(times: Sequence[float], blocks: Sequence[Block], stamps: IntArray) -> FloatArray:

@@ -18,14 +18,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
-from rclpy.qos import (
-    HistoryPolicy,
-    QoSCompatibility,
-    QoSProfile,
-    ReliabilityPolicy,
-    qos_check_compatible,
-    qos_policy_name_from_kind,
-)
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
@@ -98,6 +91,11 @@ class RosTypes:
         return deserialize_message(data, _CLASSES[kind.rpartition("/")[2]])
 
 
+# Best effort matches any publisher; the depth bridges pauses of Python at 1 kHz.
+DATA = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""QoS of subscriptions to data."""
+
+
 class _Polled(CallbackGroup):
     """Callback group whose subscriptions the executor does not wait for, except for their events: waiting for a message
     takes the executor ten times as long as taking it."""
@@ -159,9 +157,7 @@ class Inputs:
         Raises:
             InputError: the topic name is invalid.
         """
-        # Best effort matches any publisher; the depth bridges pauses of Python at 1 kHz.
-        qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._subscribe(_Input(name, several, kind), kind, lambda _: None, qos)
+        self._subscribe(_Input(name, several, kind), kind, lambda _: None, DATA)
 
     def listen_as(self, configuration: Configuration) -> None:
         """Subscribe to the data that a configuration asks for. Raises InputError as :meth:`subscribe_data`."""

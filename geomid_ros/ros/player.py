@@ -104,19 +104,15 @@ def _is_called(topic: str, name: str) -> bool:
 def _message_class(kind: str | None) -> Any:
     """Return the class of a message type; None if it is not installed."""
     package, _, name = (kind or "").partition("/msg/")
-    if not package.isidentifier() or not _has_messages(package):
+    # A bag may name any package, and importing runs code: only packages of messages are imported.
+    spec = PathFinder.find_spec(package) if package.isidentifier() else None
+    folders = (spec and spec.submodule_search_locations) or []
+    if not any((Path(folder) / "msg" / "__init__.py").is_file() for folder in folders):
         return None
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name, None)
     except ImportError:
         return None
-
-
-def _has_messages(package: str) -> bool:
-    """True if a package has messages, without importing it: a bag may name any package, and importing runs code."""
-    spec = PathFinder.find_spec(package)
-    folders = (spec and spec.submodule_search_locations) or []
-    return any((Path(folder) / "msg" / "__init__.py").is_file() for folder in folders)
 
 
 def _publisher(node: Node, topic: str, kind: Any, path: Path) -> Publisher:

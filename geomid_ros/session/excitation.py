@@ -45,12 +45,7 @@ from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.effects import OnLink, effect_class, values_of
 from geomid_ros.model.measurement_model import MeasurementModel
-from geomid_ros.session.collision_scene import (
-    COLLISIONS_NOT_CHECKED,
-    collision_model,
-    excluded_pairs_note,
-    without_touching,
-)
+from geomid_ros.session.collision_scene import collision_model, not_watched, without_touching
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import MotionOptions
 from geomid_ros.session.session import Session
@@ -177,12 +172,7 @@ def design_task(urdf: str, source: Path, configuration: Configuration, options: 
         belief = belief_from_estimate(model, posterior, sigmas, earlier)
     collision = collision_model(options, robot, source)
     feasibility, unwatched = _feasibility(belief, limits, collision, options)
-    notes = [
-        *limits.notes,
-        "" if collision else COLLISIONS_NOT_CHECKED,
-        excluded_pairs_note(unwatched),
-        *robot.inertia_repairs.values(),
-    ]
+    notes = (*limits.notes, *not_watched(collision, unwatched), *robot.inertia_repairs.values())
     slow = _SLOW_SHARE.get(options.aim, _SLOW_SHARE[PREDICTION])
     form = MotionForm(period=options.duration / options.repeats, slow_fraction=slow, repeats=options.repeats)
     return DesignTask(
@@ -190,7 +180,7 @@ def design_task(urdf: str, source: Path, configuration: Configuration, options: 
         belief=belief,
         form=form,
         excluded_pairs=unwatched,
-        notes=tuple(filter(None, notes)),
+        notes=notes,
     )
 
 
@@ -225,7 +215,7 @@ def _feasibility(
             f"--start has {len(wish.start)} numbers, expected {len(names)}: those of {', '.join(names)} [rad, m]"
         )
     candidates = [np.array(wish.start)] if len(wish.start) else list(start_postures(limits))
-    unwatched = without_touching(collision, candidates[0]) if collision is not None else ()
+    unwatched = without_touching(collision, candidates[0])
     errors = []
     for start in candidates:
         try:

@@ -232,8 +232,13 @@ def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> K
     Raises:
         InputError: a bag cannot be read.
     """
-    cutoff, train = GapReader(session, bags, progress).train()
-    return remainder_of_model(session.model, train, cutoff, session.prior, session.loaded.situational_effects)
+    reader, known = GapReader(session, bags, progress), session.loaded.situational_effects
+    cutoff = gap_cutoff(session, reader.rate(bags.fitted))
+    # Effects in addition to the model's coefficients need columns of the library.
+    columns = library_columns(session.model) if known else session.model.columns
+    recorded = (reader.samples(path, session.new_pipeline(cutoff, columns)) for path in bags.fitted)
+    train = [split_held_out(samples, bags.held_out_fraction)[0] for samples in recorded]
+    return remainder_of_model(session.model, train, cutoff, session.prior, known)
 
 
 def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
@@ -310,7 +315,7 @@ class GapReader:
                 f"{len(simulated)} recordings of a simulator for {len(fitted)} bags: give --simulated once "
                 "for each bag, in their order"
             )
-        cutoff = gap_cutoff(self.session, self._rate([*self.bags.all, *simulated]))
+        cutoff = gap_cutoff(self.session, self.rate([*self.bags.all, *simulated]))
         recorded = [self._whole(path, cutoff) for path in fitted]
         twins = [self._whole(path, cutoff) for path in simulated]
         for samples in recorded:
@@ -329,43 +334,31 @@ class GapReader:
         held_out = [samples for samples in held_out if len(samples)]
         return GapSamples(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
 
-    def train(self) -> tuple[float, list[Samples]]:
-        """Read the samples to fit, for the present model: their cutoff [Hz], and the samples, one element per bag.
-
-        Raises:
-            InputError: a bag cannot be used; it is named.
-        """
-        session, cutoff = self.session, gap_cutoff(self.session, self._rate(self.bags.fitted))
-        # Effects in addition to the model's coefficients need columns of the library.
-        columns = library_columns(session.model) if session.loaded.situational_effects else session.model.columns
-        pipelines = [session.new_pipeline(cutoff, columns) for _ in self.bags.fitted]
-        recorded = map(self._samples, self.bags.fitted, pipelines)
-        return cutoff, [split_held_out(samples, self.bags.held_out_fraction)[0] for samples in recorded]
-
     def high_cutoff_samples(self, topic: str = "") -> list[Samples]:
         """Read the samples to evaluate on, one element per bag, with the highest cutoff that the rate allows.
 
         Args:
             topic: read the joints' set-points on this topic instead of the joint states.
         """
-        cutoff, late = min(SHARP_CUTOFF, self._rate(self.bags.all) / LOWEST_RATE_PER_CUTOFF), list[Samples]()
+        cutoff, late = min(SHARP_CUTOFF, self.rate(self.bags.all) / LOWEST_RATE_PER_CUTOFF), list[Samples]()
         for path, share in self.bags.held_out_fractions:
             if share > 0.0:
-                samples = self._samples(path, self.session.new_pipeline(cutoff), topic)
+                samples = self.samples(path, self.session.new_pipeline(cutoff), topic)
                 # A copy, so that the whole recording is not kept in memory.
                 late.append(Samples.concatenate([split_held_out(samples, share)[1]]))
         return late
 
     def _whole(self, path: Path, cutoff: float) -> Samples:
-        return self._samples(path, gap_pipeline(self.session, cutoff))
+        return self.samples(path, gap_pipeline(self.session, cutoff))
 
-    def _samples(self, path: Path, pipeline: SignalPipeline, topic: str = "") -> Samples:
+    def samples(self, path: Path, pipeline: SignalPipeline, topic: str = "") -> Samples:
+        """Samples of a whole bag."""
         topics = self.bags.topics
         topics = replace(topics, joint_states=topic, joint_option="--command") if topic else topics
         with Bag(path) as bag:
             return Samples.concatenate(list(read_samples(bag, self.session, pipeline, topics, self.progress)))
 
-    def _rate(self, paths: Sequence[Path]) -> float:
+    def rate(self, paths: Sequence[Path]) -> float:
         """Joint messages per second at the beginning of the slowest bag."""
         return min(message_rate(self._first_stamps(path)) for path in paths)
 

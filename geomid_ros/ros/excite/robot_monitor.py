@@ -14,7 +14,6 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import WriterError
 from sensor_msgs.msg import JointState as JointStateMessage
@@ -23,6 +22,7 @@ from std_msgs.msg import String
 from geomid_ros.errors import GeomidError
 from geomid_ros.excitation.limits import JointState
 from geomid_ros.live.inbox import MOST_AT_ONCE
+from geomid_ros.ros.inputs import DATA
 from geomid_ros.ros.outputs import latched
 from geomid_ros.ros.startup import POLL
 from geomid_ros.signals.messages import JOINT_STATES, parse
@@ -98,8 +98,7 @@ class RobotMonitor:
         """Positions of all received joints by name; not finite if unknown."""
         self.state: JointState | None = None
         """Latest joint state."""
-        self._qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._states = node.create_subscription(JointStateMessage, topic, self._take, self._qos, raw=True)
+        self._states = node.create_subscription(JointStateMessage, topic, self._take, DATA, raw=True)
         self._descriptions = node.create_subscription(String, _DESCRIPTION, self._describe, latched())
         self.topic: str = self._states.topic_name
         """Full name of the joint states' topic."""
@@ -142,7 +141,7 @@ class RobotMonitor:
             recorder.write(description, serialize_message(String(data=urdf)))
             for topic in wrenches:
                 write = partial(recorder.write, topic)
-                self._node.create_subscription(WrenchStamped, topic, write, self._qos, raw=True)
+                self._node.create_subscription(WrenchStamped, topic, write, DATA, raw=True)
             self._recorder = recorder
             try:
                 yield recorder

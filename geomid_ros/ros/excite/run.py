@@ -20,12 +20,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.ros.controller import TrajectoryController, find_controller
 from geomid_ros.ros.excite.robot_monitor import Recorder, RobotMonitor
 from geomid_ros.ros.startup import PATIENCE, running_node
-from geomid_ros.session.collision_scene import (
-    COLLISIONS_NOT_CHECKED,
-    collision_model,
-    excluded_pairs_note,
-    without_touching,
-)
+from geomid_ros.session.collision_scene import collision_model, not_watched, without_touching
 from geomid_ros.session.options import RunOptions
 from geomid_ros.types import FloatArray
 
@@ -131,14 +126,13 @@ class MotionRun:
         collision = collision_model(options, robot, Path(robot.source))
         received = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
         passage = ApproachPath(robot, motion.joints, np.nan_to_num(received), collision)
-        unwatched = without_touching(collision, passage.all_positions(start[None])[0]) if collision else ()
+        unwatched = without_touching(collision, passage.all_positions(start[None])[0])
         for label, position in (("at the present pose", present), ("at the start of the motion", start)):
             if touching := passage.overlap(position):
                 raise InputError(f"{label}, {touching}; move it away first, or correct --avoid")
         passage.require_clearance(np.array([present, start]), options.clearance)
         passage.check(motion, self._order.source)
-        notes = ["" if collision else COLLISIONS_NOT_CHECKED, excluded_pairs_note(unwatched)]
-        return [present, *passage.find_postures(present, start)], tuple(filter(None, notes))
+        return [present, *passage.find_postures(present, start)], tuple(not_watched(collision, unwatched))
 
     def execute(self, bag: Path, say: Callable[[str], None]) -> None:
         """Move, and record.
