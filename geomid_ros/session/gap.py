@@ -28,7 +28,6 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, find_gap, remainder_of_model, residual_rms
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
-from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
@@ -171,8 +170,11 @@ def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatAr
     if prior is None or loaded.links_information is None:
         return None, deviations
     if (posterior := _posterior_of(session)) is not None:
-        known, prior_stds = _information_of(posterior, model)
-        deviations = np.where(np.isfinite(prior_stds), prior_stds, deviations)
+        order, (rows, _) = places_in(posterior, model), posterior.evidence
+        stds = np.abs(np.diag(posterior.jacobian)) * posterior.prior_stds  # apart from the data; of effects only
+        deviations = np.where((order >= 0) & np.isfinite(stds[order]), stds[order], deviations)
+        informative = np.where(order >= 0, rows[:, order], 0.0)
+        known = OtherRecordings(informative, np.zeros(len(rows)), np.zeros(len(model.coefficients)))
     elif (information := loaded.information(model)) is not None:
         known = OtherRecordings(information.rows, information.residuals)
     else:
@@ -192,17 +194,6 @@ def _posterior_of(session: Session) -> Posterior | None:
         posterior = read_posterior(path)
         check_matches_estimate(posterior, path, loaded.inertias or {}, loaded.source)
     return posterior if posterior is not None and {*session.model.body_names} <= {*posterior.links} else None
-
-
-def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[OtherRecordings, FloatArray]:
-    """Information of a posterior's data on the parameters of a model, relative to its estimate; and its prior
-    standard deviations ``(D,)``, valid for effects only, NaN where it has none."""
-    order, (rows, _) = places_in(posterior, model), posterior.evidence
-    prior_stds = np.abs(np.diag(posterior.jacobian)) * posterior.prior_stds
-    known = OtherRecordings(
-        np.where(order >= 0, rows[:, order], 0.0), np.zeros(len(rows)), np.zeros(len(model.coefficients))
-    )
-    return known, np.where(order >= 0, prior_stds[order], np.nan)
 
 
 def known_remainder_of(session: Session) -> KnownRemainder | None:

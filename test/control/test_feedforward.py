@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -158,9 +159,14 @@ def test_a_simulated_robot_tracks_with_what_was_identified(tmp_path: Path) -> No
     assert identified < urdf / 10.0
 
 
-def test_only_what_the_motors_do_is_commanded(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def estimate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("estimate")
+    return geomid_ros.identify(BAGS / "arm3", URDF, candidates=[]).save(folder, report=False)[0]
+
+
+def test_only_what_the_motors_do_is_commanded(estimate: Path) -> None:
     """An offset of the effort's sensor moves nothing; friction has to be overcome."""
-    estimate = geomid_ros.identify(BAGS / "arm3", URDF, candidates=[]).save(tmp_path, report=False)[0]
     session = geomid_ros.feedforward(motion(), estimate, force=True).session
     model, states = session.model, motion().states(np.linspace(0.0, 4.0, 50))[:3]
 
@@ -174,16 +180,15 @@ def test_only_what_the_motors_do_is_commanded(tmp_path: Path) -> None:
     np.testing.assert_allclose(efforts("viscous_friction") - efforts("nothing"), 5.0 * states[1], atol=1e-9)
 
 
-def test_a_robot_on_its_legs_and_efforts_that_cannot_be_predicted_are_refused(tmp_path: Path) -> None:
-    estimate = geomid_ros.identify(BAGS / "arm3", URDF, candidates=[]).save(tmp_path, report=False)[0]
-    document = json.loads(estimate.read_text())
+def test_a_robot_on_its_legs_and_efforts_that_cannot_be_predicted_are_refused(estimate: Path, tmp_path: Path) -> None:
+    document, legs = json.loads(estimate.read_text()), estimate.with_name("legs.json")
     document["channels"].append({"channel": "base/fx", "unit": "N"})
-    (tmp_path / "legs.json").write_text(json.dumps(document))
+    legs.write_text(json.dumps(document))
     with pytest.raises(InputError, match=r"legs\.json: floating base: leg efforts"):
-        geomid_ros.feedforward(motion(), tmp_path / "legs.json", force=True)
-    (tmp_path / "identified.urdf").unlink()
+        geomid_ros.feedforward(motion(), legs, force=True)
+    alone = shutil.copy(estimate, tmp_path)
     with pytest.raises(InputError, match=r"estimate\.json: identified\.urdf is missing .*; give the urdf"):
-        geomid_ros.feedforward(motion(), estimate, force=True)
+        geomid_ros.feedforward(motion(), alone, force=True)
     sensors = ("/tip:tool:external:fx,fy,fz", "/wrench:wrist_ft:mounted")
     with pytest.raises(InputError, match="efforts cannot be predicted"):
         geomid_ros.feedforward(motion(), None, urdf=URDF, wrench=sensors)
