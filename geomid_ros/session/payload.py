@@ -169,7 +169,9 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
     values = quantities_and_moments(body.parameters)
     bodies = [quantities_and_moments(other.links[-1].parameters) for other in shifted]
-    systematic = _gain_std(np.array(bodies).reshape(-1, len(values)) - values)
+    shifts = np.array(bodies).reshape(-1, len(values)) - values
+    # Gains of the channels are independent or common, whichever is worse.
+    systematic = np.maximum(np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0)))
     if link == session.robot.tree.root:  # elsewhere its moments distinguish a payload from the whole robot's mass
         robot = sum(other.mass for other in fit.links[:-1])
         heavier = body.parameters + np.append(session.relative_mass_std * robot, np.zeros(9))
@@ -191,10 +193,3 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
         findings=session.review.findings,
         verdict=recording_verdict(session.review.findings, "" if fit.converged else fit.reason),
     )
-
-
-def _gain_std(shifts: FloatArray) -> FloatArray:
-    """Standard deviations ``(n,)`` due to ``shifts (channels, n)`` by the channels' gains: the larger one of
-    independent and of common gains."""
-    independent, common = np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0))
-    return np.asarray(np.maximum(independent, common))

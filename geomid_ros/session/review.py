@@ -280,8 +280,10 @@ class Review:
             worse = worse_channels(self._model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
         recorded = self.recorded
         samples = () if isinstance(judged, RowSummary) else judged
-        is_explained = any(finding.cause.kind != "unexplained" for finding in self.findings)
-        findings = self.findings if is_explained else self._unexplained(estimate, samples) or self.findings
+        findings = self.findings
+        if no_external_forces(self._model) and all(finding.cause.kind == "unexplained" for finding in findings):
+            # Joints whose efforts the estimate does not explain.
+            findings = unexplained(self._model, samples, estimate.parameters, self.check.recorded) or findings
         remarks = [*peculiarities(recorded.accounts), *self.remarks]
         if any(finding.cause.kind == "legs" for finding in findings):
             return replace(recording_verdict(findings, warnings=remarks), explains_all=True)
@@ -311,12 +313,6 @@ class Review:
             far = link.outlier or not nominal / HEAVIER <= link.mass <= nominal * HEAVIER
             if far and len(self._robot.subtree(link.name)) > 1:
                 yield link
-
-    def _unexplained(self, estimate: Estimate, samples: Sequence[Samples]) -> tuple[RecordingFault, ...]:
-        """Findings on joints whose efforts an estimate does not explain; empty if there are none."""
-        if not no_external_forces(self._model):
-            return ()
-        return unexplained(self._model, samples, estimate.parameters, self.check.recorded)
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
         """Sentences on what makes results doubtful: the initial model, the estimate and its verdict."""
