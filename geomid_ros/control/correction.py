@@ -104,9 +104,6 @@ FASTEST = 5.0
 _NOISE = 0.01  # of the effort limit: standard deviation of efforts that no inertia of the body explains
 LONGEST_FAULT = 0.1
 """Time [s] that a fault may last before the correction is switched off; meanwhile nothing is learned."""
-LARGEST_DELAY_RATIO = 2.0
-"""Allowed delay as a multiple of the delay that the gain is set for; the loop is stable up to pi times."""
-_SATURATED = 0.99  # of the effort limit
 _MEMORY = 1.0  # [s] in which a long delay, and a fault of LONGEST_FAULT, are forgotten
 
 
@@ -120,17 +117,14 @@ class Reading:
     effort: FloatArray
 
     @property
-    def _numbers(self) -> FloatArray:
+    def numbers(self) -> FloatArray:
+        """All measurements ``(3, joints)``."""
         return np.array([self.position, self.velocity, self.effort])
 
     @property
     def is_complete(self) -> bool:
         """True if no number is missing."""
-        return bool(np.isfinite(self._numbers).all())
-
-    def repeats(self, other: Reading) -> bool:
-        """True if all numbers equal those of the other reading."""
-        return np.array_equal(self._numbers, other._numbers)
+        return bool(np.isfinite(self.numbers).all())
 
 
 class FaultLatch:
@@ -146,10 +140,8 @@ class FaultLatch:
     def record(self, now: float, faults: Sequence[str]) -> None:
         """Record the ``faults`` from ``now`` [s] on, in sentences: intermittent faults add up."""
         elapsed, self._before = max(0.0, now - self._before), now
-        self._wrong = (
-            self._wrong + elapsed if self._is_wrong else max(0.0, self._wrong - elapsed * LONGEST_FAULT / _MEMORY)
-        )
-        self._is_wrong = bool(faults)
+        change = elapsed if self._is_wrong else -elapsed * LONGEST_FAULT / _MEMORY
+        self._wrong, self._is_wrong = max(0.0, self._wrong + change), bool(faults)
         if faults and self._wrong >= LONGEST_FAULT:
             self.switch_off(faults[0])
 
@@ -175,9 +167,7 @@ class Correction:
         Raises:
             InputError: a joint has no effort limit, or no effort depends on the body.
         """
-        self._efforts = efforts
-        self._joints = tuple(joints)
-        self._limits = efforts.limits
+        self._efforts, self._joints, self._limits = efforts, tuple(joints), efforts.limits
         if unlimited := [name for name, limit in zip(joints, self._limits, strict=True) if not np.isfinite(limit)]:
             raise InputError(f"joint '{unlimited[0]}' has no effort limit in the URDF; adaptation is bounded by it")
         self._rows_of, identified = efforts.of_body(body)
@@ -202,39 +192,34 @@ class Correction:
             return
         self._before = reading
         step = reading.time - before.time
+        if step < 0.0:
+            self.latch.switch_off(f"the clock of joint states went back by {-step:.3g} s")
         if step <= 0.0:
-            self._check_clock(step, "of joint states ")
             return
         self._received = now
         delay = max(0.0, now - reading.time) + step
-        late = self._lateness(delay)
-        if not late:
+        self._faults = faults = self._lateness(delay)
+        if not faults:
             self.delay = max(delay, self.delay * (1.0 - step / _MEMORY))
-        faults = [*self._faults_of(reading, before, commanded[1]), *late]
+        fraction = np.abs(reading.effort) / self._limits
+        if np.max(fraction) >= 1.0 - _NOISE:
+            faults.append(f"the effort of joint '{self._joints[int(np.argmax(fraction))]}' saturates")
+        if np.array_equal(reading.numbers, before.numbers) and np.max(np.abs(commanded[1])) > REST_SPEED:
+            faults.append("joint states repeat while the robot is to move")
         rows, residuals = self._missing(np.array([reading.position, *commanded[1:]]), reading.effort)
         if not self.adaptation.explains(rows, residuals):
             faults.append(
                 "no payload explains the efforts: the robot touches something, or lags behind its trajectory's clock"
             )
-        self._faults = faults
         self.latch.record(now, faults)
         if not faults and not self.latch.reason:
             tangent = shortest_change(self.adaptation.point, rows, residuals)
             self.adaptation.step(removed_fraction(step, self.delay) * tangent)
 
-    def _faults_of(self, reading: Reading, before: Reading, commanded: FloatArray) -> list[str]:
-        """Return the faults of a reading after the one ``before``, at ``commanded`` velocities, in sentences."""
-        faults = []
-        fraction = np.abs(reading.effort) / self._limits
-        if np.max(fraction) >= _SATURATED:
-            faults.append(f"the effort of joint '{self._joints[int(np.argmax(fraction))]}' saturates")
-        if reading.repeats(before) and np.max(np.abs(commanded)) > REST_SPEED:
-            faults.append("joint states repeat while the robot is to move")
-        return faults
-
     def _lateness(self, delay: float) -> list[str]:
-        """Return the fault of a delay of the loop [s] in a sentence, if it is one."""
-        if not self.delay or delay <= LARGEST_DELAY_RATIO * self.delay:
+        """Return the fault of a delay of the loop [s] in a sentence, if it is one: if the gain times this delay exceeds
+        1. The loop is stable up to pi / 2."""
+        if not self.delay or MARGIN * delay <= self.delay:
             return []
         return [f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.delay:.0f} ms before"]
 
@@ -245,10 +230,6 @@ class Correction:
         residuals = effort - self._efforts(motion[:, None])[0] - rows @ self.adaptation.change
         return rows / noise[:, None], residuals / noise
 
-    def _check_clock(self, elapsed: float, source: str = "") -> None:
-        if elapsed < 0.0:
-            self.latch.switch_off(f"the clock {source}went back by {-elapsed:.3g} s")
-
     def __call__(self, now: float, commanded: FloatArray) -> FloatArray:
         """Efforts ``(joints,)`` to add to those of the identified model, for the motion ``commanded (3, joints)``."""
         if np.isfinite(self._received) and now - self._received > LONGEST_FAULT:
@@ -256,17 +237,13 @@ class Correction:
         if self._before is not None:  # late data are late before they arrive
             self.latch.record(now, [*self._faults, *self._lateness(now - self._before.time)])
         elapsed, self._sent = now - self._sent, now
-        self._check_clock(elapsed)
-        bound, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(elapsed, LONGEST_FAULT))
-        target = np.clip(self._wanted(commanded), -bound, bound)
-        self._last = np.clip(target, self._last - change, self._last + change)
-        return self._last
-
-    def _wanted(self, commanded: FloatArray) -> FloatArray:
-        """Efforts ``(joints,)`` before bounds; zeros if the correction is off."""
-        if not self.latch.reason:
-            efforts = self._rows_of(commanded) @ self.adaptation.change
-            if np.isfinite(efforts).all():
-                return np.asarray(efforts)
+        if elapsed < 0.0:
+            self.latch.switch_off(f"the clock went back by {-elapsed:.3g} s")
+        wanted = self._rows_of(commanded) @ self.adaptation.change
+        if not np.isfinite(wanted).all():
             self.latch.switch_off("the efforts to add are not finite; the motion that is commanded is wrong")
-        return np.zeros(len(self._joints))
+        if self.latch.reason:
+            wanted = np.zeros(len(self._joints))
+        bound, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(elapsed, LONGEST_FAULT))
+        self._last = np.clip(np.clip(wanted, -bound, bound), self._last - change, self._last + change)
+        return self._last

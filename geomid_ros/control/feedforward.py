@@ -8,7 +8,6 @@ polynomials, so the motion does not change.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -54,18 +53,16 @@ class MotorEfforts:
             raise InputError("floating base: leg efforts depend on the contacts")
         if not model.layout.efforts:
             raise InputError("efforts cannot be predicted: an external wrench sensor does not measure all six axes")
-        for joint in joints:
-            if joint not in robot.joint_names:
-                raise InputError(f"{source}: {unknown_name('joint', joint, robot.joint_names)}")
+        if unknown := [joint for joint in joints if joint not in robot.joint_names]:
+            raise InputError(f"{source}: {unknown_name('joint', unknown[0], robot.joint_names)}")
         if missing := [joint for joint in robot.joint_names if joint not in joints]:
             advice = "if they stay at zero, name them in locked_joints (--lock)"
             raise InputError(f"{source}: does not contain {','.join(missing)}; {advice}")
         self._robot = robot
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains = gains[self._order]
-        of_sensors = np.array([c.effect.is_sensor_error for c in model.coefficients], dtype=bool)
-        motor_parameters = parameters.copy()
-        motor_parameters[len(model.nominal_inertias) :][of_sensors] = 0.0
+        in_motors = np.logical_not([c.effect.is_sensor_error for c in model.coefficients])
+        motor_parameters = parameters * np.append(np.ones(len(model.nominal_inertias)), in_motors)
         self._dynamics = InverseDynamics(model, motor_parameters)
         self.limits = robot.effort_limits[self._order] / np.abs(self._gains)
         """Effort limits of the URDF ``(joints,)`` in the messages' unit, infinite where it has none."""
@@ -108,24 +105,20 @@ def with_efforts(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float
             at the points of cubic polynomials, the error may be larger for :data:`SHORTEST`.
     """
     times = trajectory.times
-    result = sampled(trajectory, efforts_of, times)
     unsure = np.ones(len(times) - 1, dtype=np.bool_)
-    while np.any(too_coarse := _too_coarse(result, efforts_of, tolerance, unsure)):
+    while True:
+        motion = trajectory.states(times)[:3]
+        accelerations = motion[2] if trajectory.accelerations.shape[1] else np.zeros((len(times), 0))
+        result = Trajectory(trajectory.joints, times, motion[0], motion[1], accelerations, efforts_of(motion))
+        largest = np.max(np.abs(result.efforts), axis=0)
+        bounds = np.maximum(tolerance * largest, ROUNDING * np.max(largest))
+        too_coarse = np.any(interpolation_errors(result, efforts_of, unsure) > bounds, axis=1)
+        too_coarse &= np.diff(times) >= 2.0 * SHORTEST
+        if not np.any(too_coarse):
+            return result
         middle = 0.5 * (times[1:] + times[:-1])
         times = np.sort(np.concatenate([times, middle[too_coarse]]))
-        result = sampled(trajectory, efforts_of, times)
         unsure = np.repeat(too_coarse, 1 + too_coarse)  # both halves
-    return result
-
-
-def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) -> Trajectory:
-    """Sample a trajectory with efforts at ``times (N,)`` [s], which include those of its points."""
-    motion = trajectory.states(times)[:3]
-    accelerations = motion[2] if trajectory.accelerations.shape[1] else np.zeros((len(times), 0))
-    efforts = efforts_of(motion)
-    return replace(
-        trajectory, times=times, positions=motion[0], velocities=motion[1], accelerations=accelerations, efforts=efforts
-    )
 
 
 def interpolation_errors(found: Trajectory, efforts_of: EffortsOf, where: BoolArray | None = None) -> FloatArray:
@@ -142,11 +135,3 @@ def interpolation_errors(found: Trajectory, efforts_of: EffortsOf, where: BoolAr
     errors = np.zeros((len(steps), len(found.joints)))
     np.maximum.at(errors, between, np.abs(efforts_of(found.states(at)[:3]) - linear))
     return errors
-
-
-def _too_coarse(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float, unsure: BoolArray) -> BoolArray:
-    """True where a further point is needed ``(N - 1,)``; it is not where ``unsure (N - 1,)`` is False."""
-    largest = np.max(np.abs(trajectory.efforts), axis=0)
-    bounds = np.maximum(tolerance * largest, ROUNDING * np.max(largest))
-    off = np.any(interpolation_errors(trajectory, efforts_of, unsure) > bounds, axis=1)
-    return np.asarray(off & (np.diff(trajectory.times) >= 2.0 * SHORTEST))

@@ -9,10 +9,9 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import socket
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from itertools import islice
 from typing import Any, TypeAlias
 
 from tornado.httpserver import HTTPServer
@@ -29,58 +28,45 @@ State: TypeAlias = dict[str, Any]
 _COUNTS = ("received", "accepted", "lost")
 _REASONS = ("rejected", "dropped", "noted")
 _LEVELS = ("ok", "warning", "error", "stale")
-_MOST_ROWS = 500  # of each table, as the publisher of diagnostics decides how many there are
+_MOST = 500  # statuses, and values of each, as the publisher of diagnostics decides how many there are
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """One status of the diagnostics: its ``name``, ``level`` (0 to 3), ``message`` and ``values``."""
-
-    name: str
-    level: int
-    message: str
-    values: Mapping[str, str]
-
-
-def state_of(node: str, diagnoses: Sequence[Diagnosis]) -> State | None:
+def state_of(node: str, diagnoses: Sequence[Any]) -> State | None:
     """Return the state of a node.
 
     Args:
         node: its full name without the leading slash.
-        diagnoses: statuses of one message, those of other nodes included.
+        diagnoses: statuses of one message (``diagnostic_msgs/DiagnosticStatus``), those of other nodes included.
 
     Returns:
         ``level`` and ``message`` of its stream, ``links``, ``channels``, ``topics``, ``numbers`` and ``others``
         (statuses that are not of links); None if the node has no stream status.
     """
-    states = {item.name.removeprefix(f"{node}: "): item for item in diagnoses if item.name.startswith(f"{node}: ")}
+    own = islice((item for item in diagnoses if item.name.startswith(f"{node}: ")), _MOST)
+    states = {item.name.removeprefix(f"{node}: "): item for item in own}
+    values = {name: {pair.key: pair.value for pair in item.values[:_MOST]} for name, item in states.items()}
     stream = states.pop("stream", None)
     if stream is None:
         return None
-    links = {name: item for name, item in states.items() if "mass" in item.values}
-    others = {name: item for name, item in states.items() if name not in links}
-    channels, topics, numbers = _grouped(stream.values)
+    channels, topics, numbers = _grouped(values["stream"])
     return {
         "node": node,
         "level": _level(stream),
         "message": stream.message,
-        "links": [_link(name, item.values) for name, item in _first(links).items()],
-        "channels": [{"name": name, **values} for name, values in _first(channels).items()],
-        "topics": [{"name": name, **values} for name, values in _first(topics).items()],
-        "numbers": list(_first(numbers).items()),
+        "links": [_link(name, values[name]) for name in states if "mass" in values[name]],
+        "channels": [{"name": name, **entries} for name, entries in channels.items()],
+        "topics": [{"name": name, **entries} for name, entries in topics.items()],
+        "numbers": list(numbers.items()),
         "others": [
-            {"name": name, "level": _level(item), "message": item.message, "values": list(_first(item.values).items())}
-            for name, item in _first(others).items()
+            {"name": name, "level": _level(item), "message": item.message, "values": list(values[name].items())}
+            for name, item in states.items()
+            if "mass" not in values[name]
         ],
     }
 
 
-def _first(items: Mapping[str, Any]) -> dict[str, Any]:
-    return dict(list(items.items())[:_MOST_ROWS])
-
-
-def _level(status: Diagnosis) -> str:
-    return _LEVELS[min(status.level, len(_LEVELS) - 1)]
+def _level(status: Any) -> str:
+    return _LEVELS[min(int.from_bytes(status.level), len(_LEVELS) - 1)]
 
 
 def _number(text: str | None) -> float | None:
@@ -151,9 +137,7 @@ class Board:
     """Latest state as text, how many there were, and who listens. For one thread alone."""
 
     def __init__(self) -> None:
-        self.text = ""
-        self.version = 0
-        self.listeners = 0
+        self.text, self.version, self.listeners = "", 0, 0
 
     def show(self, state: State) -> None:
         """Replace the state."""
@@ -163,8 +147,7 @@ class Board:
 
 class _Handler(RequestHandler):
     def initialize(self, board: Board, page: bytes) -> None:
-        self._board = board
-        self._page = page
+        self._board, self._page = board, page
 
     def set_default_headers(self) -> None:
         for name, value in _HEADERS.items():
@@ -184,30 +167,17 @@ class _Events(_Handler):
             raise HTTPError(503)
         self.set_header("Content-Type", "text/event-stream")
         self._board.listeners += 1
+        seen = 0
         try:
-            await self._follow()
+            while True:
+                is_new, seen = self._board.version > seen, self._board.version
+                self.write(f"data: {self._board.text}\n\n" if is_new else ": nothing new\n\n")
+                await self.flush()  # fails once the connection is closed
+                await asyncio.sleep(_BEAT)
         except (StreamClosedError, asyncio.CancelledError):
             pass  # the listener leaves, or the dashboard ends
         finally:
             self._board.listeners -= 1
-
-    async def _follow(self) -> None:
-        seen = 0
-        while True:
-            is_new, seen = self._board.version > seen, self._board.version
-            self.write(f"data: {self._board.text}\n\n" if is_new else ": nothing new\n\n")
-            await self.flush()  # fails once the connection is closed
-            await asyncio.sleep(_BEAT)
-
-
-def _bound(port: int | None) -> list[socket.socket]:
-    """Return sockets on a port; None: the default port, or any free port if that is taken."""
-    try:
-        return bind_sockets(PORT if port is None else port, ADDRESS)
-    except OSError as error:
-        if port is None:
-            return bind_sockets(0, ADDRESS)
-        raise InputError(f"port {port} of {ADDRESS} is not available ({error.strerror}); use another --port") from error
 
 
 @asynccontextmanager
@@ -227,7 +197,13 @@ async def served_board(node: str, port: int | None) -> AsyncIterator[tuple[Board
     application = Application(log_function=lambda _: None)
     application.add_handlers(_OUR_NAMES, [("/", _Page, settings), ("/events", _Events, settings)])
     server = HTTPServer(application, max_body_size=_MOST_BODY, idle_connection_timeout=60.0)
-    sockets = _bound(port)
+    try:
+        sockets = bind_sockets(port or PORT, ADDRESS)
+    except OSError as error:
+        if port is not None:
+            reason = f"port {port} of {ADDRESS} is not available ({error.strerror})"
+            raise InputError(f"{reason}; use another --port") from error
+        sockets = bind_sockets(0, ADDRESS)
     server.add_sockets(sockets)
     try:
         yield board, f"http://{ADDRESS}:{sockets[0].getsockname()[1]}"

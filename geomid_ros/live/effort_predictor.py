@@ -96,32 +96,25 @@ class EffortPredictor:
 
     def _motion(self, model: _Model, stamps: IntArray, numbers: FloatArray) -> FloatArray:
         """Positions, velocities and accelerations ``(3, N, joints)`` of messages."""
-        begin, last = self._last
+        latest, last = self._last
         if last.shape[1] != numbers.shape[2]:
-            begin, last = -model.memory, np.zeros((3, numbers.shape[2]))
-        all_stamps, latest, seconds, decays = [begin, *stamps.tolist()], [0], [], []
-        for place, stamp in enumerate(all_stamps[1:], 1):
-            step = stamp - all_stamps[latest[-1]]
-            # Repeated stamps and messages out of order have no information on accelerations.
-            is_late, continues = -model.memory < step <= 0, 0 < step < model.memory
-            latest.append(latest[-1] if is_late else place)
-            seconds.append(1e-9 * step if continues else math.inf)
-            decays.append(1.0 if is_late else math.exp(-seconds[-1] / model.time_constant))
-        before, steps, decay_column = latest[:-1], np.array(seconds)[:, None], np.array(decays)[:, None]
-        motion = np.empty((3, len(all_stamps), last.shape[1]))
-        motion[:, 0], motion[:2, 1:] = last, numbers[:, :2].transpose(1, 0, 2)
-        position, velocity, acceleration = motion
-        unknown = np.isnan(velocity)
-        if unknown.any():
-            moved = position[1:] - position[before]
-            moved = np.where(model.turning, np.remainder(moved + np.pi, 2.0 * np.pi) - np.pi, moved)
-            velocity[1:] = np.where(unknown[1:], moved / steps, velocity[1:])
-            velocity[unknown] = velocity[latest][unknown]
-        increments = (1.0 - decay_column) * (velocity[1:] - velocity[before]) / steps
-        for place, increment in enumerate(increments):
-            acceleration[place + 1] = decays[place] * acceleration[place] + increment
-        self._last = all_stamps[latest[-1]], motion[:, latest[-1]]
-        return motion[:, 1:]
+            latest, last = -model.memory, np.zeros((3, numbers.shape[2]))
+        motions = []
+        for stamp, (position, velocity, _) in zip(stamps.tolist(), numbers, strict=True):
+            motion, step, unknown = np.array([position, velocity, last[2]]), stamp - latest, np.isnan(velocity)
+            if -model.memory < step <= 0:  # repeated and out of order: no information on accelerations
+                motion[1, unknown] = last[1, unknown]
+            else:
+                seconds = 1e-9 * step if 0 < step < model.memory else math.inf
+                moved = position - last[0]
+                turned = np.remainder(moved + np.pi, 2.0 * np.pi) - np.pi
+                motion[1, unknown] = (np.where(model.turning, turned, moved) / seconds)[unknown]
+                increment = (motion[1] - last[1]) / seconds - last[2]
+                motion[2] = last[2] - math.expm1(-seconds / model.time_constant) * increment
+                latest, last = stamp, motion
+            motions.append(motion)
+        self._last = latest, last
+        return np.stack(motions, axis=1)
 
 
 def _obstacle(session: Session) -> str:

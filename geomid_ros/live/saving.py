@@ -20,15 +20,13 @@ from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
 from geomid_ros.files.disk import check_writable
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.evidence.features import KnownRemainder
-from geomid_ros.live.threads import Activity, start_daemon, start_later
+from geomid_ros.live.threads import PATIENCE, Activity, start_daemon, start_later
 from geomid_ros.live.worker import LONG, Worker
 from geomid_ros.session.session import Session, save
 
-_PATIENCE = 0.4  # [s] for the last checkpoint
 HANDOVER = 5.0  # [s] for the last checkpoint of a session if another one is to use its folder
 _LATEST = 4.8  # [s] latest time of an answer
 _LATE = _LATEST / 2.0  # [s] to wait for an estimate from all data; then the last one is saved
-_SHORTEST_PAUSE = 0.1  # fraction of the period, between slow checkpoints
 
 FOLLOWS = "and follows"
 """Part of an answer: the saved estimate is not of all data yet."""
@@ -66,8 +64,7 @@ class Checkpoints:
             folder: used by this session alone.
             period: [s] between checkpoints; none is written while no rows come.
         """
-        self._session = session
-        self._period = period
+        self._session, self._period = session, period
         self._problem = ""
         self.restored: Checkpoint | None = None
         """Checkpoint that the session was resumed from; None if there was none."""
@@ -86,14 +83,14 @@ class Checkpoints:
             self._problem = str(error)
             return
         self.restored, self._unusable = disk.restore(session.restore)
-        began = ["started without rows"] if self._unusable else []
+        began = "started without rows" if self._unusable else ""
         if self.restored is not None:
-            began = [f"resumed from checkpoint {self.restored.number} with {self.restored.memory.summary.rows} rows"]
-        self.beginning = "; ".join([*began, *self._unusable])
+            began = f"resumed from checkpoint {self.restored.number} with {self.restored.memory.summary.rows} rows"
+        self.beginning = "; ".join(filter(None, (began, *self._unusable)))
         self._rows = session.identifier.rows
         self._thread = start_daemon("checkpoints", self._write_repeatedly, disk)
 
-    def close(self, patience: float = _PATIENCE) -> None:
+    def close(self, patience: float = PATIENCE) -> None:
         """Write a last checkpoint, and end; wait for it no longer than ``patience`` [s]."""
         self._ending.set()
         if self._thread is not None:
@@ -108,28 +105,19 @@ class Checkpoints:
             "rows": self._rows,
             "seconds": self._seconds,
         }
-        error = self._problem or self._slowness
+        error, seconds = self._problem, max(self._seconds, self._activity.current[1])
+        if not error and seconds > self._period:
+            error = f"the disk is slow: a checkpoint takes {seconds:.1f} s, more than checkpoint.period"
         doubt = self.beginning if self._unusable and not self._written else ""
         return CheckpointStatus(error or doubt, bool(error) or self.restored is None, values)
 
-    @property
-    def _slowness(self) -> str:
-        seconds = max(self._seconds, self._activity.current[1])
-        if seconds <= self._period:
-            return ""
-        return f"the disk is slow: a checkpoint takes {seconds:.1f} s, more than checkpoint.period"
-
     def _write_repeatedly(self, folder: CheckpointFolder) -> None:
         with closing(folder):
-            while not self._ending.wait(max(self._period - self._seconds, _SHORTEST_PAUSE * self._period)):
-                if self._has_new_rows:
+            while not self._ending.wait(self._period):
+                if self._session.identifier.rows != self._rows:
                     self._write(folder)
-            if self._has_new_rows or (self._rows and self._session.pipeline.ledger.topics):
+            if self._session.identifier.rows != self._rows or (self._rows and self._session.pipeline.ledger.topics):
                 self._write(folder)
-
-    @property
-    def _has_new_rows(self) -> bool:
-        return self._session.identifier.rows != self._rows
 
     def _write(self, folder: CheckpointFolder) -> None:
         begin = time.monotonic()
@@ -191,7 +179,7 @@ class Saving:
         from geomid_ros.session.gap import identified_session, remainder_in_messages  # noqa: PLC0415 a third of the start
 
         try:
-            messages = worker.messages()  # all of them, as the estimate is, even if a gap is open
+            messages = worker.session.recent.entries()  # all, as the estimate is of all, even if a gap is open
             remainder = remainder_in_messages(identified_session(worker.session, estimate), messages)
             with self._one_at_a_time:
                 if remainder is not None and self._saved is estimate:

@@ -26,9 +26,6 @@ from geomid_ros.session.recordings import samples_of_messages
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages
 
-_PATIENCE = 0.2  # [s] for a search to notice that it was closed
-
-
 R = TypeVar("R", bound="FoundGap | Payload")
 
 
@@ -84,8 +81,6 @@ class BackgroundSearch(Generic[R]):
         with self._lock:
             self._ended.set()
             self.status = None
-        if self._thread is not None:
-            self._thread.join(_PATIENCE)
 
     def _run(self, look: Callable[[Progress], R], ended: threading.Event) -> None:
         try:
@@ -157,23 +152,17 @@ def look_for_gap(
     Raises:
         InputError: too little was measured.
     """
-    # Imported late: a third of a node's start, and rarely needed.
-    from geomid_ros.session.gap import (  # noqa: PLC0415
-        find_in_messages,
-        gap_session,
-        identified_session,
-        known_remainder_of,
-        remainder_in_messages,
-    )
+    from geomid_ros.session import gap  # noqa: PLC0415 a third of a node's start, and rarely needed
 
     if before is None:
-        ref = gap_session(session.urdf, session.configuration, "robot_description")
-        result = find_in_messages(ref, messages, known_remainder_of(ref), progress)
-        return FoundGap(result, ref.review.findings, ref.review.warnings(), [*session.notes, *ref.review.settled])
-    ref = identified_session(session, before)
-    result = find_in_messages(ref, messages, remainder_in_messages(ref, earlier, progress), progress)
-    compared = f"{COMPARED}, of {before.rows_accepted} rows"
-    return FoundGap(result, ref.review.findings, ref.review.warnings(), session.notes, compared)
+        ref, compared = gap.gap_session(session.urdf, session.configuration, "robot_description"), ""
+        known = gap.known_remainder_of(ref)
+    else:
+        ref, compared = gap.identified_session(session, before), f"{COMPARED}, of {before.rows_accepted} rows"
+        known = gap.remainder_in_messages(ref, earlier, progress)
+    result = gap.find_in_messages(ref, messages, known, progress)
+    notes = session.notes if compared else [*session.notes, *ref.review.settled]
+    return FoundGap(result, ref.review.findings, ref.review.warnings(), notes, compared)
 
 
 NO_DATA = "no data yet"

@@ -90,12 +90,10 @@ class Solver:
             listener: receives estimates and payloads in the solver's thread.
             failures: counts exceptions.
         """
-        self._session = session
+        self._session, self._listener, self._failures = session, listener, failures
         self.period = period  # [s] between solves
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
-        self._listener = listener
-        self._failures = failures
         self._reported: CarriedPayload | None = None  # last payload passed to the listener
         self._lock = threading.RLock()  # held briefly, for all fields below
         self.estimate: Estimate | None = None  # the last one
@@ -106,7 +104,6 @@ class Solver:
         self._solved_rows = 0
         self._unchecked: deque[tuple[int, Samples]] = deque(maxlen=MOST_WAITING)  # with the numbers of the next ones
         self._pace = Pace()
-        self._closing = False
         self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the latest, with its epoch and rows
         self.changed_sensors: tuple[str, ...] = ()  # topics of sensors whose rows are left out
         self.detector = self._new_detector()
@@ -117,12 +114,11 @@ class Solver:
     def close(self, patience: float) -> None:
         """End the thread. A running solve is finished first and the estimate updated, but for no longer than
         ``patience`` [s]."""
-        self._closing = True
+        self._requests.put(self._solve_for_last_rows)
         self._requests.put(None)
         self._thread.join(patience)
         with self._lock:
-            self._epoch += 1
-            self._closing = False  # nobody waits for the thread any more
+            self._epoch += 1  # nobody waits for a result any more
 
     def request(self, done: Done) -> None:
         """Solve from scratch, unless that was done for the same rows. ``done(result)`` is called in the solver's
@@ -206,8 +202,6 @@ class Solver:
                 self._solve_for_new_rows()
                 continue
             if request is None:
-                if self._closing:
-                    self._solve_for_last_rows()
                 return
             request()
 
@@ -224,12 +218,10 @@ class Solver:
     def _solve_for_new_rows(self) -> None:
         with self.activity.doing(SOLVING):
             self._detect_changes()
-            rows, identifier = self._session.identifier.rows, self._session.identifier
-            if rows == self._solved_rows:
+            identifier, solved = self._session.identifier, self._solved_rows
+            if (rows := identifier.rows) == solved:
                 return
-            much_is_new = (
-                self._forgets or bool(self.problem) or identifier.has_grown_beyond(self._solved_rows, NEW_SHARE)
-            )
+            much_is_new = self._forgets or bool(self.problem) or identifier.has_grown_beyond(solved, NEW_SHARE)
             if self._pace.is_due(rows, much_is_new):
                 self._solve_once(self._warm_start())
             else:
@@ -238,8 +230,7 @@ class Solver:
     def _solve_for_last_rows(self) -> None:
         """Update the estimate at the end if a warm start suffices; a longer solve is not waited for."""
         warm = self._warm_start()
-        is_quick = warm is not None and not warm.effects_alone
-        if is_quick and self._session.identifier.rows != self._solved_rows:
+        if warm and not warm.effects_alone and self._session.identifier.rows != self._solved_rows:
             with self.activity.doing(SOLVING):
                 self._solve_once(warm)
 

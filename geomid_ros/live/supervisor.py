@@ -17,7 +17,8 @@ from geomid_ros.files.models.readers import URDF
 from geomid_ros.live.saving import HANDOVER, SLOW, Checkpoints, SaveOutcome, Saving
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Failures, Listener
-from geomid_ros.live.worker import PATIENCE, Worker
+from geomid_ros.live.threads import PATIENCE
+from geomid_ros.live.worker import Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import locked_note, with_locked
 from geomid_ros.session.session import Session
@@ -26,7 +27,8 @@ from geomid_ros.signals.ledger import Ledger
 
 MOST_RESTARTS = 3  # of the intake, as a replaced thread cannot be ended
 HANGING = 120.0  # [s] longer than any task on a busy machine, the first solve of a humanoid included
-_PUBLISHERS_START = 3.0  # [s] within which messages of all published joints arrive
+PUBLISHERS_START = 3.0
+"""Time [s] within which messages of all published joints arrive."""
 
 _Saved: TypeAlias = dict[Estimate, Future[SaveOutcome]]  # outcome of each estimate that was saved at the end
 
@@ -43,12 +45,7 @@ class Supervisor:
     """Runs one worker at a time, none before the first description. Restarts what hangs in it a few times."""
 
     def __init__(
-        self,
-        configuration: Configuration,
-        ledger: Ledger,
-        log: Log,
-        listener: Listener,
-        solving: SolvingProcess | None,
+        self, configuration: Configuration, ledger: Ledger, log: Log, listener: Listener, solving: SolvingProcess | None
     ) -> None:
         """
         Args:
@@ -58,11 +55,10 @@ class Supervisor:
             listener: receives the results of all workers.
             solving: the process that solves; None to solve in this one.
         """
-        self._configuration = configuration
-        self._ledger = ledger
-        self._log = log
+        self._configuration, self._ledger, self._log = configuration, ledger, log
         self._listener = listener
-        self._solving = solving
+        self.solving = solving
+        """The process that solves; None to solve in this one."""
         self.saving = Saving(configuration["output_folder"])
         """Writes the workers' estimates."""
         self.failures = Failures()
@@ -82,11 +78,6 @@ class Supervisor:
         """Sentences on what hangs, on what hung without an estimate since, and on what is wrong with saving."""
         return (*self._hanging, self._hung, *self.saving.problems)
 
-    @property
-    def warning(self) -> str:
-        """Warning that the solving process ended; empty if it did not."""
-        return self._solving.warning if self._solving else ""
-
     def build(self, urdf: str, source: str, absent: tuple[str, ...] | None = None) -> None:
         """Begin to identify the robot of a description.
 
@@ -100,9 +91,9 @@ class Supervisor:
         """
         absent = self._absent_before(urdf, source) if absent is None else absent
         session = self.new_session(urdf, source, absent)
-        if self._solving:
-            session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
-            session.review.judge_with(self._solving.remote(CheckTask.judge))
+        if self.solving:
+            session.identifier.solve_with(self.solving.remote(EstimationTask.solve))
+            session.review.judge_with(self.solving.remote(CheckTask.judge))
         if self.worker is not None:
             self.worker.close()
             self._period = self._latest_period
@@ -118,22 +109,17 @@ class Supervisor:
 
     def new_session(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> Session:
         """Return a session without rows. Arguments and errors as of :meth:`build`."""
-        return Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
+        return Session(urdf, with_locked(self._configuration, absent), source, self._ledger, (URDF,))
 
     def _absent_before(self, urdf: str, source: str) -> tuple[str, ...]:
         """Joints that were locked when the last checkpoint was written, as nobody published them."""
-        folder = self._configuration["checkpoint.folder"]
+        folder, locked = self._configuration["checkpoint.folder"], self._configuration["locked_joints"]
         meaning = last_meaning(Path(folder).resolve()) if folder else {}
         with suppress(InputError, TypeError):  # it may be of another robot or configuration, or crafted
-            absent = tuple(
-                joint for joint in meaning.get("locked_joints", ()) if joint not in self._configuration["locked_joints"]
-            )
+            absent = tuple(joint for joint in meaning.get("locked_joints", ()) if joint not in locked)
             if absent and self.new_session(urdf, source, absent).meaning == meaning:
                 return absent
         return ()
-
-    def _with_locked(self, absent: tuple[str, ...]) -> Configuration:
-        return with_locked(self._configuration, absent) if absent else self._configuration
 
     def reconfigure(self, configuration: Configuration, *, rebuild: bool) -> None:
         """Solve with another configuration from now on; with ``rebuild`` only from the next :meth:`build` on.
@@ -145,7 +131,7 @@ class Supervisor:
             check_cutoff(configuration["filter.cutoff"], self._latest_period)
         self._configuration = configuration
         if self.worker is not None and not rebuild:
-            self.worker.solver.reconfigure(self._with_locked(self._absent))
+            self.worker.solver.reconfigure(with_locked(self._configuration, self._absent))
 
     @property
     def _latest_period(self) -> float:
@@ -158,14 +144,13 @@ class Supervisor:
         if not self._configuration["checkpoint.folder"]:
             return
         folder = Path(self._configuration["checkpoint.folder"]).resolve()
-        self.checkpoints = Checkpoints(session, folder, self._configuration["checkpoint.period"])
-        if self.checkpoints.restored is not None and self.worker is None:
-            self._ledger.restore(self.checkpoints.restored.accounts)
-        status = self.checkpoints.status
-        if status.problem:
-            self._log.error(status.problem)
-        elif self.checkpoints.beginning:
-            self._log.info(self.checkpoints.beginning)
+        self.checkpoints = kept = Checkpoints(session, folder, self._configuration["checkpoint.period"])
+        if kept.restored is not None and self.worker is None:
+            self._ledger.restore(kept.restored.accounts)
+        if problem := kept.status.problem:
+            self._log.error(problem)
+        elif kept.beginning:
+            self._log.info(kept.beginning)
 
     def reset(self) -> None:
         """Discard all rows, and forget that threads hung."""
@@ -182,7 +167,7 @@ class Supervisor:
         absent = (*(joint for joint in self._absent if joint not in session.received_joints), *session.lockable)
         if absent == self._absent:
             self._agreed = now
-        elif now - self._agreed > _PUBLISHERS_START:
+        elif now - self._agreed > PUBLISHERS_START:
             self._agreed = now
             try:
                 self.build(session.urdf, "robot_description", absent)
@@ -201,7 +186,7 @@ class Supervisor:
             self._hung = f"message processing hung and was restarted, {self._restarts} of at most {MOST_RESTARTS} times"
             self.build(worker.session.urdf, "robot_description", self._absent)
             return
-        if solver and self._solving and self._solving.give_up():
+        if solver and self.solving and self.solving.give_up():
             worker.solver.activity.restart_timer()
             self._hung, self._solves, solver = "the solver hung and was restarted", worker.solver.solves, False
         elif worker.solver.solves > self._solves:
@@ -240,7 +225,9 @@ class Supervisor:
         """Log what became of an estimate."""
         if not outcome.done():
             self._log.error(f"the last estimate may not be saved: {SLOW} after {time.monotonic() - begin:.1f} s")
-        elif outcome.result()[0]:
-            self._log.info(outcome.result()[1])
+            return
+        is_saved, sentence = outcome.result()
+        if is_saved:
+            self._log.info(sentence)
         else:
-            self._log.error(f"the last estimate is not saved: {outcome.result()[1]}")
+            self._log.error(f"the last estimate is not saved: {sentence}")

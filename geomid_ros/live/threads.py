@@ -11,6 +11,10 @@ from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from typing import Any
 
+PATIENCE = 0.65
+"""Time [s] for threads or a process to end. The node ends within two seconds: its worker, its last checkpoint and its
+dashboard one after the other."""
+
 
 def start_daemon(name: str, work: Callable[..., object], *arguments: Any) -> threading.Thread:
     """Start a daemon thread."""

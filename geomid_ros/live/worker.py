@@ -13,21 +13,20 @@ import numpy as np
 from geomid_ros.checks.verdict import implausible_mass
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.inbox import Inbox, Received, Request
+from geomid_ros.live.inbox import Inbox, Received
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Failures, Listener, Status
-from geomid_ros.live.threads import Activity, start_daemon
+from geomid_ros.live.threads import PATIENCE, Activity, start_daemon
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.payload_watch import with_payload
 from geomid_ros.session.session import Session
-from geomid_ros.session.training import WrenchGuard
+from geomid_ros.session.training import Training
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Block, Decoder, message_type
+from geomid_ros.signals.settings import MOST_WAITING
 from geomid_ros.types import FloatArray, IntArray
 
-PATIENCE = 0.7  # [s] for both threads to end; with the last checkpoint, shutdown stays below two seconds
 _TRANSITION = 2_000_000_000  # [ns] from the start of a gap until all rows show it
-_LATENCIES = 10_000  # latest samples whose latency is kept
 LONG = 1.0  # [s] longest normal duration of a thread's task; a solve may take ``solve_period`` if that is longer
 
 
@@ -42,22 +41,21 @@ class Worker:
             listener: receives samples in the intake's thread, once there is an estimate, and all else in the solver's.
             failures: counts exceptions in both threads.
         """
-        self.session = session
+        self.session, self.failures = session, failures
         self.ledger = session.pipeline.ledger
-        self.failures = failures
         self.solver = Solver(session, solve_period, listener, failures)
         self.activity = Activity()  # of the intake
         self._decoder = Decoder()
         self._listener = listener
         self._rows_lost: Counter[str] = Counter()  # replaced, never modified
         self._lock = threading.Lock()  # held briefly, for the next field
-        self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
-        self._wrenches = self._new_guard()
+        self._receipt_to_row: deque[float] = deque(maxlen=MOST_WAITING)  # of the latest samples
+        self._wrenches = self._new_training()
         self._inbox = Inbox()
         self._intake = start_daemon("intake", self._take_messages)
 
-    def _new_guard(self) -> WrenchGuard:
-        return WrenchGuard(self.session, watched=self.solver.detector.payload is not None)
+    def _new_training(self) -> Training:
+        return Training(self.session, watched=self.solver.detector.payload is not None)
 
     def close(self, patience: float | None = None) -> None:
         """Stop both threads. Waiting messages and a running solve are finished first, but for no longer than
@@ -68,15 +66,13 @@ class Worker:
         self.solver.close(max(0.0, end - time.monotonic()))
         with suppress(GeomidError):  # errors in messages that will yield no more rows
             self.session.pipeline.release()
-        self._drop(self._inbox.clear(), "node shut down or restarted")
-
-    def _drop(self, messages: Sequence[Received], reason: str) -> None:
-        for message in messages:
-            self.ledger.drop(message.topic, reason)
+        for message in self._inbox.clear():
+            self.ledger.drop(message.topic, "node shut down or restarted")
 
     def enqueue(self, messages: Sequence[Received]) -> None:
         """Queue messages for the intake; drop those for which the queue has no room."""
-        self._drop(self._inbox.put_messages(messages), "queue full")
+        for message in self._inbox.put_messages(messages):
+            self.ledger.drop(message.topic, "queue full")
 
     def reset(self) -> None:
         """Discard all rows and the estimate, after the waiting messages are processed."""
@@ -102,10 +98,6 @@ class Worker:
         first = self.session.recent.first_sample
         return [opened if sample >= first else -_TRANSITION for opened, sample in self.solver.detector.changes]
 
-    def messages(self) -> list[AcceptedMessages]:
-        """Return all remembered messages."""
-        return self.session.recent.entries()
-
     def messages_before_gap(self) -> list[AcceptedMessages]:
         """Return the remembered messages from before the first open gap (or payload); all of them if there is none."""
         opened, entries = self._changes, self.session.recent.entries()
@@ -115,8 +107,8 @@ class Worker:
     def estimate_before_gap(self) -> Estimate | None:
         """Last estimate from before the first open gap (or payload); None if there is none, or if it is too long
         ago."""
-        first_samples = [sample for _, sample in self.solver.detector.changes]
-        return self.solver.estimate_before(min(first_samples)) if first_samples else None
+        changes = self.solver.detector.changes
+        return self.solver.estimate_before(min(sample for _, sample in changes)) if changes else None
 
     @property
     def estimate(self) -> Estimate | None:
@@ -176,21 +168,17 @@ class Worker:
 
     def _causes(self, *, sure: bool) -> list[str]:
         """Sentences of the causes that the checks of the whole recording found."""
-        left_out = self._wrenches.sentences
-        findings = [f for f in self.session.review.findings if left_out.keys().isdisjoint(f.cause.places)]
-        return [finding.sentence for finding in findings if finding.sure == sure]
+        findings, left_out = self.session.review.findings, self._wrenches.sentences.keys()
+        return [f.sentence for f in findings if f.sure == sure and left_out.isdisjoint(f.cause.places)]
 
     def _take_messages(self) -> None:
         for task in self._inbox.tasks():
             with self.failures.counted("message processing failed"):
-                self._do(task)
-
-    def _do(self, task: list[Received] | Request) -> None:
-        if isinstance(task, list):
-            with self.activity.doing(task[0].topic):
-                self._take(task)
-        else:
-            task()
+                if isinstance(task, list):
+                    with self.activity.doing(task[0].topic):
+                        self._take(task)
+                else:
+                    task()
 
     def _take(self, messages: list[Received]) -> None:
         """Push messages into the pipeline, and the rows that they complete into the identifier."""
@@ -221,7 +209,7 @@ class Worker:
             return
         with self._lock:
             self._receipt_to_row.extend((time.perf_counter() - received).tolist())
-        if self._wrenches.take(rows):
+        if self._wrenches.check(rows):
             self.solver.begin_anew()
         settled = Rows(rows.coefficients, np.where(uncertain, np.nan, rows.targets))
         trusted = self._wrenches.without_doubtful(settled)
@@ -238,7 +226,7 @@ class Worker:
         self.solver.reset()
         self.session.review.forget()
         self._rows_lost = Counter()
-        self._wrenches = self._new_guard()
+        self._wrenches = self._new_training()
 
 
 def _completion_times(times: Sequence[float], blocks: Sequence[Block], stamps: IntArray) -> FloatArray:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Log
-from geomid_ros.ros.diagnostics import Advised, node_line
+from geomid_ros.ros.diagnostics import MOST_LISTED, Advised, node_line
 
 AGAIN = 60.0  # [s] until a sentence is logged again
 _MOST_KINDS = 200  # bound on remembered sentences, as names in them are from outside
@@ -71,19 +71,15 @@ class Console:
         self._logged |= dict.fromkeys(map(_kind, sentences), time.monotonic())
         while len(self._logged) > _MOST_KINDS:
             self._logged.pop(min(self._logged, key=self._logged.__getitem__))
-        return node_line("; ".join(map(_with_hint, sentences)))
+        advised = (f"{text} ({text.advice})" if isinstance(text, Advised) else text for text in sentences)
+        return node_line("; ".join(advised))
 
 
 def _kind(sentence: str) -> str:
     return re.sub(r"\b\d+(\.\d+)?(e[-+]\d+)?", "#", sentence)
 
 
-def _with_hint(sentence: str) -> str:
-    return f"{sentence} ({sentence.advice})" if isinstance(sentence, Advised) else sentence
-
-
 _MASS = QUANTITIES[0]
-_MOST_NAMES = 8
 
 
 class StatusEvents:
@@ -97,26 +93,21 @@ class StatusEvents:
     def since(self, status: Status) -> Iterator[str]:
         """Yield sentences on what is new in the ``status`` of the next second."""
         accepted = {topic: account.accepted for topic, account in status.since(self._before).accounts.items()}
-        self._before = status
+        self._before, estimate = status, status.estimate
         self._coming = {topic: self._coming.get(topic, 0) + 1 for topic, count in accepted.items() if count > 0}
-        yield from (
-            f"{status.name(topic)}: receiving {accepted[topic]} messages/s"
-            for topic in self._coming
-            if self._coming[topic] == 2
-        )
-        yield from self._estimated(status.estimate)
-
-    def _estimated(self, estimate: Estimate | None) -> Iterator[str]:
+        for topic in self._coming:
+            if self._coming[topic] == 2:
+                yield f"{status.name(topic)}: receiving {accepted[topic]} messages/s"
         if estimate is None:
             self._reported = None
             return
         identified = {link.name: link for link in estimate.links if _MASS in link.identified}
         if self._reported is None:
-            self._reported = set(identified)
+            self._reported = set()
             yield _first(estimate, identified.values())
         elif new := [link for name, link in identified.items() if name not in self._reported]:
-            self._reported.update(identified)
             yield f"identified: {_list(map(_mass, new))}"
+        self._reported.update(identified)
 
 
 def _first(estimate: Estimate, identified: Iterable[LinkEstimate]) -> str:
@@ -133,5 +124,5 @@ def _mass(link: LinkEstimate) -> str:
 
 def _list(texts: Iterable[str]) -> str:
     names = [*texts]
-    rest = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-    return ", ".join(names[:_MOST_NAMES]) + rest
+    rest = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    return ", ".join(names[:MOST_LISTED]) + rest

@@ -78,14 +78,15 @@ class ActionController:
         self._client.send_goal_async(goal).add_done_callback(lambda future: self._on_answer(number, future.result()))
 
     def _on_answer(self, number: int, handle: Any) -> None:
-        if not handle.accepted:
-            self._refuse(number, NOT_ACCEPTED)
-            return
-        handle.get_result_async().add_done_callback(lambda future: self._on_result(number, future.result().result))
+        def on_result(future: Any) -> None:
+            result = future.result().result
+            if result.error_code != self._action.Result.SUCCESSFUL:
+                self._refuse(number, result.error_string or f"error {result.error_code}")
 
-    def _on_result(self, number: int, result: Any) -> None:
-        if result.error_code != self._action.Result.SUCCESSFUL:
-            self._refuse(number, result.error_string or f"error {result.error_code}")
+        if handle.accepted:
+            handle.get_result_async().add_done_callback(on_result)
+        else:
+            self._refuse(number, NOT_ACCEPTED)
 
     def _refuse(self, number: int, reason: str) -> None:
         if number == self._goals:  # a replaced goal is expected to fail
@@ -131,14 +132,9 @@ def find_controller(node: Node, controller: str, look: Callable[[], object]) -> 
         ready = first
     if ready is not None:
         return ready
-    others = [
-        topic.rpartition("/")[0]
-        for topic, kinds in node.get_topic_names_and_types()
-        if _KIND in kinds and node.count_subscribers(topic)
-    ]
-    advice = (
-        f"available: {', '.join(sorted(others))}" if others else "there is no other; check that it is loaded and active"
-    )
+    topics = (topic for topic, kinds in node.get_topic_names_and_types() if _KIND in kinds)
+    others = ", ".join(sorted(topic.rpartition("/")[0] for topic in topics if node.count_subscribers(topic)))
+    advice = f"available: {others}" if others else "there is no other; check that it is loaded and active"
     raise InputError(f"--controller {controller}: nothing subscribes to {interfaces[-1].name}; {advice}")
 
 
@@ -212,14 +208,8 @@ class ActionRelay:
         self._sent: dict[bytes, Any] = {}  # controller's goals, by the ids of the goals here
         self._latest: Any = None  # controller's goal that replaced all earlier ones
         self._outcomes: dict[bytes, tuple[int, Any]] = {}  # status and result of goals that are to end
-        server(
-            node,
-            action,
-            _IN,
-            self._result,
-            handle_accepted_callback=self._on_goal,
-            cancel_callback=self._on_cancel,
-        )
+        callbacks = {"handle_accepted_callback": self._on_goal, "cancel_callback": self._on_cancel}
+        server(node, action, _IN, self._result, **callbacks)
 
     def _on_goal(self, handle: Any) -> None:
         self._fill(handle.request.trajectory, partial(self._on_filled, handle))

@@ -7,19 +7,13 @@ import signal
 from collections.abc import Callable
 from importlib.util import find_spec
 from multiprocessing import get_context
-from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from geomid_ros.errors import InputError
-from geomid_ros.live.threads import end_with_parent
+from geomid_ros.live.threads import PATIENCE, end_with_parent
 from geomid_ros.ros.startup import PAUSE, running_node
-
-if TYPE_CHECKING:
-    from geomid_ros.live.dashboard import Diagnosis
-
-_PATIENCE = 0.5  # [s] for its process to end
 
 
 def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> None:
@@ -50,23 +44,9 @@ async def _run(node: str, port: int | None, say: Callable[[str], None], listener
         while not stop.is_set():
             with handle:
                 while (taken := handle.take_message(DiagnosticArray, False)) is not None:
-                    if (state := state_of(node, _diagnoses(taken[0]))) is not None:
+                    if (state := state_of(node, taken[0].status)) is not None:
                         board.show(state)
             await asyncio.sleep(PAUSE)
-
-
-def _diagnoses(message: DiagnosticArray) -> list[Diagnosis]:
-    from geomid_ros.live.dashboard import Diagnosis  # noqa: PLC0415
-
-    return [
-        Diagnosis(
-            status.name,
-            int.from_bytes(status.level, "little"),
-            status.message,
-            {pair.key: pair.value for pair in status.values},
-        )
-        for status in message.status
-    ]
 
 
 class DashboardProcess:
@@ -84,7 +64,7 @@ class DashboardProcess:
     def close(self) -> None:
         """End the process."""
         self._process.terminate()
-        self._process.join(_PATIENCE)
+        self._process.join(PATIENCE)
         self._process.kill()
 
 

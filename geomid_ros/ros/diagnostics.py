@@ -12,12 +12,13 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from geomid_ros.errors import one_line
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, LinkEstimate
 from geomid_ros.estimation.identifier import STANDING_STILL
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.saving import CheckpointStatus
 from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Status
+from geomid_ros.live.supervisor import PUBLISHERS_START
 from geomid_ros.model.channels import is_of
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.monitoring.payload_watch import CarriedPayload
@@ -96,13 +97,13 @@ class Diagnostics:
         return array
 
     def _without_rows(self, status: Status, new: Status) -> list[str]:
-        """Complain if accepted messages have yielded no rows for longer than the filter needs."""
+        """Complain if accepted messages have yielded no rows for longer than all publishers and the filter need."""
         accepted = any(account.accepted > 0 for account in new.accounts.values())
         if not (status.active and accepted and new.rows_made == 0):
             self._barren, self._fruitful = 0, status
             return []
         self._barren += 1
-        if self._barren <= _LONGEST_BARREN + 2.0 * status.lag:
+        if self._barren <= PUBLISHERS_START + 2.0 * status.lag:
             return []
         advice = "check for pauses in every filter window, or a rate too low for it"
         since = status.since(self._fruitful)
@@ -139,73 +140,42 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
         "merged": ", ".join(link.merged),
         "not identifiable": ", ".join(name for name in QUANTITIES if name not in link.identified),
     }
-    message = f"mass {link.mass:.3f} kg"
-    if link.outlier:
-        message += ", far from its prior: a payload, or an unmodelled effect; run 'geomid gap'"
-        return status_message(f"{node}: {link.name}", DiagnosticStatus.WARN, message, values)
     note = "" if "mass" in link.identified else ", identifiable only in combination"
-    return status_message(f"{node}: {link.name}", DiagnosticStatus.OK, message + note, values)
+    if link.outlier:
+        note = ", far from its prior: a payload, or an unmodelled effect; run 'geomid gap'"
+    level = DiagnosticStatus.WARN if link.outlier else DiagnosticStatus.OK
+    return status_message(f"{node}: {link.name}", level, f"mass {link.mass:.3f} kg{note}", values)
 
 
-_MOST_REASONS = 5  # per sentence
-_LONGEST_BARREN = 3.0  # [s], in addition to the filter's window
+MOST_LISTED = 8
+"""Largest number of reasons in the diagnostics, or of names in a line of the console."""
 _MANY = 10  # messages without an accepted one, which is no accident
 
 
 def _stream(status: Status) -> dict[str, object]:
-    values: dict[str, object] = {
-        "active": status.active,
-        "lag": status.lag,
-        "queue": status.queue,
-        **_latency(status.receipt_to_row),
-        "solves": status.solves,
-        "rows": status.rows,
-        "rows made": status.rows_made,
-    }
+    values: dict[str, object] = {"active": status.active, "lag": status.lag, "queue": status.queue}
+    if seconds := status.receipt_to_row:  # from a message's receipt to the rows that it completed
+        values |= {f"receipt to row {name} [ms]": 1e3 * np.quantile(seconds, q) for name, q in _QUANTILES.items()}
+    values |= {"solves": status.solves, "rows": status.rows, "rows made": status.rows_made}
     for topic, account in status.accounts.items():
-        values |= _account(topic, account)
-    values |= {
-        **{f"rows rejected: {reason}": count for reason, count in (+status.rows_rejected).items()},
-        **{f"failed: {failure}": count for failure, count in status.failures.items()},
-        **{f"gap {gap.channel}": gap.times_floor for gap in status.gaps},
-    }
-    if status.estimate is not None:
-        values |= _solve(status.estimate)
+        values |= {f"{topic} received": account.received, f"{topic} accepted": account.accepted}
+        values |= _refusals(topic, account)
+        values |= {f"{topic} noted: {remark}": count for remark, count in account.noted.items()}
+        values |= {f"{topic} lost": account.lost} if account.lost else {}
+    values |= {f"rows rejected: {reason}": count for reason, count in (+status.rows_rejected).items()}
+    values |= {f"failed: {failure}": count for failure, count in status.failures.items()}
+    values |= {f"gap {gap.channel}": gap.times_floor for gap in status.gaps}
+    if (estimate := status.estimate) is not None:
+        values |= {"converged": estimate.converged, "solve seconds": estimate.seconds, "gamma": estimate.gamma}
+        for name, sigma, rms in zip(estimate.channels, estimate.sigmas, estimate.rms, strict=True):
+            values |= {f"{name} sigma": float(sigma), f"{name} rms": float(rms)}
     return values
-
-
-def _account(topic: str, account: Account) -> dict[str, int]:
-    return {
-        f"{topic} received": account.received,
-        f"{topic} accepted": account.accepted,
-        **_refusals(topic, account),
-        **{f"{topic} noted: {remark}": count for remark, count in account.noted.items()},
-        **({f"{topic} lost": account.lost} if account.lost else {}),
-    }
 
 
 def _refusals(topic: str, account: Account) -> dict[str, int]:
     """Numbers of rejected and dropped messages by reason."""
     rejected = {f"{topic} rejected: {reason}": count for reason, count in account.rejected.items()}
     return rejected | {f"{topic} dropped: {reason}": count for reason, count in account.dropped.items()}
-
-
-def _latency(seconds: Sequence[float]) -> dict[str, float]:
-    """Quantiles of the time from a message's receipt to the rows that it completed."""
-    if not seconds:
-        return {}
-    return {f"receipt to row {name} [ms]": 1e3 * float(np.quantile(seconds, q)) for name, q in _QUANTILES.items()}
-
-
-def _solve(estimate: Estimate) -> dict[str, object]:
-    values: dict[str, object] = {
-        "converged": estimate.converged,
-        "solve seconds": estimate.seconds,
-        "gamma": estimate.gamma,
-    }
-    for name, sigma, rms in zip(estimate.channels, estimate.sigmas, estimate.rms, strict=True):
-        values |= {f"{name} sigma": float(sigma), f"{name} rms": float(rms)}
-    return values
 
 
 def _gap_sentence(gaps: Sequence[ChannelGap]) -> str:
@@ -250,11 +220,11 @@ def _payload(name: str, carried: CarriedPayload) -> DiagnosticStatus:
 
 
 def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
-    level, message = DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows in the checkpoint"
-    if checkpoints.problem:
-        level = DiagnosticStatus.ERROR if checkpoints.is_error else DiagnosticStatus.WARN
-        message = checkpoints.problem
-    return status_message(name, level, message, checkpoints.values)
+    if not checkpoints.problem:
+        message = f"{checkpoints.values['rows']} rows in the checkpoint"
+        return status_message(name, DiagnosticStatus.OK, message, checkpoints.values)
+    level = DiagnosticStatus.ERROR if checkpoints.is_error else DiagnosticStatus.WARN
+    return status_message(name, level, checkpoints.problem, checkpoints.values)
 
 
 def _judgement(status: Status, errors: Sequence[str], warnings: Sequence[str]) -> tuple[bytes, str]:
@@ -274,9 +244,11 @@ def _errors(status: Status, new: Status) -> list[str]:
             f"{status.name(JOINT_STATES)}: no effort is measured at any joint, no joint equation is used: "
             f"{_list(status.unmeasured)}"
         )
-    gaps = [gap for gap in _open(status) if _is_wrench(gap, status)]
-    if gaps:
-        sentences.append(f"{_gap_sentence(gaps)}: {_wrench_question([*map(status.name, status.changed_sensors)])}")
+    if gaps := _open(status, wrench=True):
+        changed = ", ".join(map(status.name, status.changed_sensors))
+        use = f"Rows of {changed} are left out until the gap closes, or ~/reset" if changed else "Its rows are used"
+        cause = "the sensor was tared, drifts, or the load has changed"
+        sentences.append(f"{_gap_sentence(gaps)}: {cause}. {use}")
     for topic in status.topics:
         account, name = new.account(topic), status.name(topic)
         all_bad = account.received >= _MANY and account.accepted <= 0
@@ -308,8 +280,7 @@ def _warnings(status: Status, new: Status) -> list[str]:
         sentences.append(
             f"{status.name(JOINT_STATES)}: no effort of {_list(status.unmeasured)}; its equation is left out"
         )
-    gaps = [gap for gap in _open(status) if not _is_wrench(gap, status)]
-    if gaps:
+    if gaps := _open(status, wrench=False):
         sentences.append(_gap_sentence(gaps))
     if status.estimate is not None and not status.estimate.converged:
         sentences.append(status.estimate.reason)
@@ -322,23 +293,14 @@ def _remarks(new: Status) -> list[str]:
     return [f"{new.name(topic)}: {remark}" for topic, account in new.accounts.items() for remark in account.noted]
 
 
-def _open(status: Status) -> list[ChannelGap]:
-    return [gap for gap in status.gaps if gap.since is not None]
-
-
-def _is_wrench(gap: ChannelGap, status: Status) -> bool:
-    return any(is_of(gap.channel, topic) for topic in status.topics)
-
-
-def _wrench_question(changed: Sequence[str]) -> str:
-    question = "the sensor was tared, drifts, or the load has changed"
-    if not changed:
-        return f"{question}. Its rows are used"
-    return f"{question}. Rows of {', '.join(changed)} are left out until the gap closes, or ~/reset"
+def _open(status: Status, *, wrench: bool) -> list[ChannelGap]:
+    """Open gaps of wrench channels, or of all others."""
+    gaps = (gap for gap in status.gaps if gap.since is not None)
+    return [gap for gap in gaps if any(is_of(gap.channel, topic) for topic in status.topics) == wrench]
 
 
 def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
-    return [f"{reason} ({count} messages)" for reason, count in Counter(refusals).most_common(_MOST_REASONS)]
+    return [f"{reason} ({count} messages)" for reason, count in Counter(refusals).most_common(MOST_LISTED)]
 
 
 def _list(names: Sequence[str]) -> str:

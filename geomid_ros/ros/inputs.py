@@ -18,14 +18,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
-from rclpy.qos import (
-    HistoryPolicy,
-    QoSCompatibility,
-    QoSProfile,
-    ReliabilityPolicy,
-    qos_check_compatible,
-    qos_policy_name_from_kind,
-)
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
@@ -98,6 +91,11 @@ class RosTypes:
         return deserialize_message(data, _CLASSES[kind.rpartition("/")[2]])
 
 
+# Best effort matches any publisher; the depth bridges pauses of Python at 1 kHz.
+DATA = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""QoS of subscriptions to data."""
+
+
 class _Polled(CallbackGroup):
     """Callback group whose subscriptions the executor does not wait for, except for their events: waiting for a message
     takes the executor ten times as long as taking it."""
@@ -128,7 +126,7 @@ class _Input:
     kind: type | None
     subscription: Subscription = field(init=False)
     number: int | None = None
-    latest: float = 0.0
+    latest: float = -math.inf
     policy: str = "quality of service"
 
 
@@ -159,9 +157,7 @@ class Inputs:
         Raises:
             InputError: the topic name is invalid.
         """
-        # Best effort matches any publisher; the depth bridges pauses of Python at 1 kHz.
-        qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._subscribe(kind, name, lambda _: None, qos, several=several, polled=True)
+        self._subscribe(_Input(name, several, kind), kind, lambda _: None, DATA)
 
     def listen_as(self, configuration: Configuration) -> None:
         """Subscribe to the data that a configuration asks for. Raises InputError as :meth:`subscribe_data`."""
@@ -177,7 +173,7 @@ class Inputs:
 
     def subscribe(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe to a topic other than data."""
-        self._subscribe(kind, name, callback, qos, several=True, polled=False)
+        self._subscribe(_Input(name, several=True, kind=None), kind, callback, qos)
 
     def close(self) -> None:
         """Unsubscribe from data."""
@@ -215,10 +211,8 @@ class Inputs:
         entry.latest = times[-1]
         return [Received(entry.name, data, at) for (data, _), at in zip(taken, times, strict=True)]
 
-    def _subscribe(
-        self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, *, several: bool, polled: bool
-    ) -> None:
-        entry = _Input(name, several, kind if polled else None)
+    def _subscribe(self, entry: _Input, kind: type, callback: Callable[[Any], None], qos: QoSProfile) -> None:
+        name, polled = entry.name, entry.kind is not None
         events = SubscriptionEventCallbacks(
             message_lost=partial(self._on_lost, entry), incompatible_qos=partial(self._on_incompatible, entry)
         )
@@ -247,12 +241,11 @@ class Inputs:
 
         With several publishers the numbers cannot be attributed.
         """
-        before, entry.number = entry.number, None
-        if numbers and not entry.several:
-            entry.number = numbers[-1]
-            sequence = numbers if before is None else [before, *numbers]
-            if missing := sum(max(0, after - number - 1) for number, after in pairwise(sequence)):
-                self._ledger.lose(entry.name, missing)
+        sequence = [*([] if entry.number is None else [entry.number]), *numbers]
+        entry.number = numbers[-1] if numbers and not entry.several else None
+        missing = sum(max(0, after - number - 1) for number, after in pairwise(sequence))
+        if entry.number is not None and missing:
+            self._ledger.lose(entry.name, missing)
 
     def _on_lost(self, entry: _Input, event: Any) -> None:
         # Sequence numbers are better: messages beyond the subscription's depth cause no event.
@@ -277,10 +270,8 @@ class Inputs:
                 name, why = _full_name(publisher), f"{entry.policy} ({reason.rstrip(';')})"
                 problems.append(f"{topic}: no messages from {name}, incompatible QoS: {why}")
         if len(usable) > 1 and not entry.several:
-            named = ", ".join(sorted(map(_full_name, usable)))
-            problems.append(
-                f"{topic} has {len(usable)} publishers; all its messages are dropped until one is left: {named}"
-            )
+            dropped = f"{topic} has {len(usable)} publishers; all its messages are dropped until one is left"
+            problems.append(f"{dropped}: {', '.join(sorted(map(_full_name, usable)))}")
         return problems
 
 

@@ -23,7 +23,6 @@ from std_srvs.srv import Trigger
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.live.effort_predictor import EffortPredictor
-from geomid_ros.live.inbox import Received
 from geomid_ros.live.searches import NO_DATA, BackgroundSearch, PayloadSearch, look_for_gap
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
@@ -39,6 +38,7 @@ from geomid_ros.session.configuration import AT_ANY_TIME, BY_NAME, Configuration
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import read_without_rosbags
 
+_TOPIC = f"topic {DESCRIPTION}"
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 
@@ -129,15 +129,17 @@ class GeomidNode(LifecycleNodeMixin, Node):
 
     def take_waiting(self) -> None:
         """Take the waiting data. All of them are counted, also after an error."""
-        messages = self._streaming.drain()
+        messages, worker = self._streaming.drain(), self._worker
+        reason = self._missing if worker is None else STOPPED
         try:
-            reason = self._take(messages)
+            if worker is not None and self._active:
+                worker.enqueue(messages)
+                return
         except Exception as error:  # noqa: BLE001 the node must survive
             reason = f"{type(error).__name__} in a callback"
-            self.fail(
-                f"a message on {' or '.join({message.topic for message in messages})} could not be processed", error
-            )
-        for message in messages if reason else ():
+            topics = " or ".join({message.topic for message in messages})
+            self.fail(f"a message on {topics} could not be processed", error)
+        for message in messages:
             self._ledger.drop(message.topic, reason)
 
     def wait(self, seconds: float) -> None:
@@ -150,21 +152,14 @@ class GeomidNode(LifecycleNodeMixin, Node):
         self.take_waiting()
         self._streaming.wait(0.5 * seconds)
 
-    def _take(self, messages: list[Received]) -> str:
-        """Pass messages to the worker; return the reason if they cannot be taken."""
-        if self._worker is None:
-            return self._missing
-        if not self._active:
-            return STOPPED
-        self._worker.enqueue(messages)
-        return ""
-
     def _serve(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
         """Offer a service that answers even if it fails."""
 
         def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 response.success, response.message = act()
+            except GeomidError as error:
+                response.success, response.message = False, str(error)
             except Exception as error:  # noqa: BLE001 the node must survive
                 response.success, response.message = False, f"{type(error).__name__}: {error}"
                 self.fail(f"~/{name} failed", error)
@@ -181,7 +176,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
         if self._configuration["robot_description"]:
             self._build(self._configuration["robot_description"], "parameter robot_description")
         elif self._urdf:
-            self._build(self._urdf, "topic robot_description")
+            self._build(self._urdf, _TOPIC)
         elif self._configuration["model"]:
             EstimateFile.read(Path(self._configuration["model"]))  # fails now, not once a description comes
         self._configured = True
@@ -233,7 +228,8 @@ class GeomidNode(LifecycleNodeMixin, Node):
         if not changed:
             return
         row_dependent = [name for name in changed if find_parameter(name).change != AT_ANY_TIME]
-        if row_dependent and self._has_rows:
+        worker = self._worker  # has rows, or will have some soon
+        if row_dependent and worker and (self._uses_data or worker.session.identifier.counts.made > 0):
             raise InputError(f"{row_dependent[0]} is read-only; it can be set after ~/stop (or deactivate) and ~/reset")
         try:
             self._begin_with(configuration, anew=bool(row_dependent))
@@ -250,11 +246,6 @@ class GeomidNode(LifecycleNodeMixin, Node):
             self.configure()
         if anew and self._subscribed:
             self.activate()
-
-    @property
-    def _has_rows(self) -> bool:
-        """True if there are rows, or may be soon."""
-        return self._worker is not None and (self._uses_data or self._worker.session.identifier.counts.made > 0)
 
     @property
     def _uses_data(self) -> bool:
@@ -274,14 +265,13 @@ class GeomidNode(LifecycleNodeMixin, Node):
         self._urdf = message.data
         if not self._configured:
             return
-        source = "topic robot_description"
         try:
             if self._worker is None:
-                self._build(message.data, source)
+                self._build(message.data, _TOPIC)
             elif message.data == self._worker.session.urdf:
                 self._report("")
             else:
-                self._supervisor.new_session(message.data, source)  # raises what ~/reset would
+                self._supervisor.new_session(message.data, _TOPIC)  # raises what ~/reset would
                 self._report(_CHANGED)
         except GeomidError as error:
             self._report(str(error))
@@ -305,9 +295,8 @@ class GeomidNode(LifecycleNodeMixin, Node):
         self._supervisor.lock_absent_joints()
         self._supervisor.restart_hung_threads()
         status = self._status()
-        checkpoints = self._supervisor.checkpoints
-        array = self._diagnostics.array(status, self._search.status, checkpoints.status if checkpoints else None)
-        said = self._diagnostics
+        said, checkpoints = self._diagnostics, self._supervisor.checkpoints
+        array = said.array(status, self._search.status, checkpoints.status if checkpoints else None)
         self._console.log_complaints(said.errors, said.warnings, said.remarks)
         self._console.log_events(self._news.since(status))
         array.header.stamp = self.get_clock().now().to_msg()
@@ -316,19 +305,18 @@ class GeomidNode(LifecycleNodeMixin, Node):
     def _status(self) -> Status:
         status = self._worker.status(self._uses_data) if self._worker is not None else Status(active=self._uses_data)
         problems = (*self._inputs.problems, self._problem, *self._supervisor.problems, *status.problems)
+        solving = self._supervisor.solving
+        clock = self.get_parameter("use_sim_time").value and not self.get_clock().now().nanoseconds
+        missing = "use_sim_time is set, but there are no messages on /clock" if clock else ""
         return replace(
             status,
             problems=tuple(filter(None, problems)),
-            warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
+            warnings=tuple(filter(None, (missing, solving.warning if solving else "", *status.warnings))),
             failures=self._supervisor.failures.counts,
             accounts=self._ledger.topics,
             names=self._inputs.names,
             unconfigured=self._unconfigured,
         )
-
-    def _missing_clock(self) -> list[str]:
-        missing = self.get_parameter("use_sim_time").value and not self.get_clock().now().nanoseconds
-        return ["use_sim_time is set, but there are no messages on /clock"] if missing else []
 
     def _set_active(self, active: bool) -> tuple[bool, str]:
         if active and not self._subscribed:
@@ -340,10 +328,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
         if self._worker is None:
             return False, self._missing
         if self._urdf != self._worker.session.urdf:
-            try:
-                self._build(self._urdf, "topic robot_description")
-            except GeomidError as error:
-                return False, str(error)
+            self._build(self._urdf, _TOPIC)
         self._supervisor.reset()
         self._streaming.forget()
         self._payload.forget()

@@ -32,6 +32,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion
 from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.ros.inputs import Inputs
+from geomid_ros.ros.startup import POLL
 from geomid_ros.session.session import Session, identified_urdf
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.types import FloatArray
@@ -158,9 +159,6 @@ def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
     return marker
 
 
-_PERIOD = 5e-3  # [s] between polls for messages, each of which costs as much as a message
-
-
 class Streaming:
     """Publishes ``~/streamed_joint_states`` while it has subscribers, and keeps the messages for the worker."""
 
@@ -172,11 +170,9 @@ class Streaming:
             predictor: predicts them.
             warn: receives the reason why messages are not streamed.
         """
-        self._inputs = inputs
+        self._inputs, self._predictor, self._warn = inputs, predictor, warn
         self._publisher = node.create_publisher(JointState, "~/streamed_joint_states", 1000)
-        self._predictor = predictor
         self._early: list[Received] = []
-        self._warn = warn
         self._warned: set[str] = set()
 
     def forget(self) -> None:
@@ -200,7 +196,7 @@ class Streaming:
         if self._publisher.get_subscription_count():
             self._say(self._predictor.obstacle)
         while self.active and time.monotonic() < end:
-            time.sleep(_PERIOD)
+            time.sleep(POLL)
             self._predict()
         time.sleep(max(0.0, end - time.monotonic()))
 

@@ -18,11 +18,9 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped
-from rclpy.client import Client
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import try_shutdown
 from std_srvs.srv import Trigger
 
@@ -30,13 +28,14 @@ from geomid_ros.errors import GeomidError, InputError, unknown_name
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live.saving import FOLLOWS, NOT_YET, SLOW
+from geomid_ros.ros.outputs import latched
 from geomid_ros.ros.startup import MATCHING, running_node, starting_ros
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM
 
 _READ = (JOINT_STATES, ODOM, IMU, "robot_description", "/clock")  # read by geomid with any configuration
 _LATCHED = ("robot_description", "tf_static")
-_LINGER = 1.0  # [s] for the last messages to reach their subscribers before the publishers end
+_LINGER = 1.2  # [s] for the last messages, and diagnostics of them, to reach their subscribers
 
 
 def play(
@@ -74,20 +73,15 @@ def play(
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
         with running_node("geomid_play") as node:
-            yield from _published(node, bag, kinds, rate, wait)
-
-
-def _published(node: Node, bag: Bag, kinds: dict[str, Any], rate: float, wait: float) -> Iterator[tuple[int, int]]:
-    publishers = {topic: _publisher(node, topic, kind, bag.path) for topic, kind in kinds.items()}
-    _wait_for_subscribers(publishers, wait)
-    total = bag.count(list(kinds))
-    begin = time.monotonic()
-    for published, (topic, stamp, _, raw) in enumerate(bag.raw_messages(list(kinds)), start=1):
-        due = begin + (stamp - bag.start) * 1e-9 / rate
-        time.sleep(max(0.0, due - time.monotonic()))
-        publishers[topic].publish(raw)
-        yield published, total
-    time.sleep(_LINGER)
+            publishers = {topic: _publisher(node, topic, kind, path) for topic, kind in kinds.items()}
+            _wait_for_subscribers(publishers, wait)
+            total, begin = bag.count(list(kinds)), time.monotonic()
+            for published, (topic, stamp, _, raw) in enumerate(bag.raw_messages(list(kinds)), start=1):
+                due = begin + (stamp - bag.start) * 1e-9 / rate
+                time.sleep(max(0.0, due - time.monotonic()))
+                publishers[topic].publish(raw)
+                yield published, total
+            time.sleep(_LINGER)
 
 
 def _chosen(bag: Bag, named: Collection[str]) -> list[str]:
@@ -110,7 +104,10 @@ def _is_called(topic: str, name: str) -> bool:
 def _message_class(kind: str | None) -> Any:
     """Return the class of a message type; None if it is not installed."""
     package, _, name = (kind or "").partition("/msg/")
-    if not package.isidentifier() or not _has_messages(package):
+    # A bag may name any package, and importing runs code: only packages of messages are imported.
+    spec = PathFinder.find_spec(package) if package.isidentifier() else None
+    folders = (spec and spec.submodule_search_locations) or []
+    if not any((Path(folder) / "msg" / "__init__.py").is_file() for folder in folders):
         return None
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name, None)
@@ -118,18 +115,9 @@ def _message_class(kind: str | None) -> Any:
         return None
 
 
-def _has_messages(package: str) -> bool:
-    """True if a package has messages, without importing it: a bag may name any package, and importing runs code."""
-    spec = PathFinder.find_spec(package)
-    folders = (spec and spec.submodule_search_locations) or []
-    return any((Path(folder) / "msg" / "__init__.py").is_file() for folder in folders)
-
-
 def _publisher(node: Node, topic: str, kind: Any, path: Path) -> Publisher:
-    latched = topic.rpartition("/")[2] in _LATCHED
-    durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
     try:
-        return node.create_publisher(kind, topic, QoSProfile(depth=1 if latched else 1000, durability=durability))
+        return node.create_publisher(kind, topic, latched() if topic.rpartition("/")[2] in _LATCHED else 1000)
     except (NameValidationException, ValueError) as error:
         raise InputError(f"{path}: topic {topic!r} cannot be published ({' '.join(str(error).split())})") from error
 
@@ -143,7 +131,6 @@ def _wait_for_subscribers(publishers: dict[str, Publisher], wait: float) -> None
 
 
 _PATIENCE = 60.0  # [s] for a service, and for its answer
-_AFTERWARDS = 1.2  # [s] for the estimates of the save, and the diagnostics after it, to arrive
 
 
 class LiveRun:
@@ -156,22 +143,20 @@ class LiveRun:
         parameters = Path(self._folder.name) / "parameters.yaml"
         values = {**configuration.given_values, "robot_description": read_urdf(urdf), "output_folder": str(out)}
         parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
-        node = [sys.executable, "-m", "geomid_ros.ros.main", "--ros-args", "--params-file", str(parameters)]
-        playing = ["play", str(bag), "--rate", str(rate), "--config", str(parameters)]
+        node = ["geomid_ros.ros.main", "--ros-args", "--params-file", str(parameters)]
+        playing = ["geomid_ros", "play", str(bag), "--rate", str(rate), "--config", str(parameters)]
         self._log = (Path(self._folder.name) / "log").open("w+b")
         with starting_ros():
             rclpy.init()
             self._watcher = rclpy.create_node("geomid_demo")
-        self._node = self._start(node)
-        self._player = self._start([sys.executable, "-m", "geomid_ros", *playing])
+        self._node, self._player = (
+            subprocess.Popen([sys.executable, "-m", *module], stdout=self._log, stderr=self._log)  # noqa: S603 fixed
+            for module in (node, playing)
+        )
         self._masses: dict[str, float] = {}
         self.diagnostics: dict[str, str] = {}  # latest values of the stream
-        latched = QoSProfile(depth=256, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._watcher.create_subscription(InertiaStamped, "geomid/inertias", self._on_inertia, latched)
+        self._watcher.create_subscription(InertiaStamped, "geomid/inertias", self._on_inertia, latched(256))
         self._watcher.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-
-    def _start(self, command: list[str]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(command, stdout=self._log, stderr=self._log)  # noqa: S603 the command is fixed
 
     def __enter__(self) -> Self:
         return self
@@ -212,25 +197,18 @@ class LiveRun:
             raise GeomidError(f"{name} ended unexpectedly:\n{self._log.read().decode(errors='replace')}")
 
     def _save(self) -> None:
+        """Save, again while another save may succeed or be from more data, as on a busy machine."""
         client = self._watcher.create_client(Trigger, "geomid/save")
         if not client.wait_for_service(timeout_sec=_PATIENCE):
             raise GeomidError("the node does not offer the service ~/save")
-        end = time.monotonic() + _PATIENCE
-        result = self._ask(client)
-        while result is not None and _is_late(result.message) and time.monotonic() < end:
-            result = self._ask(client)
-        if result is None or not result.success:
-            raise GeomidError(f"the node could not save: {result.message if result else 'no answer'}")
-        end = time.monotonic() + _AFTERWARDS
+        end, is_late = time.monotonic() + _PATIENCE, True
+        while is_late and time.monotonic() < end:
+            answer = client.call_async(Trigger.Request())
+            rclpy.spin_until_future_complete(self._watcher, answer, timeout_sec=_PATIENCE)
+            saved, sentence = (result.success, result.message) if (result := answer.result()) else (False, "no answer")
+            is_late = any(part in sentence for part in (FOLLOWS, NOT_YET, SLOW))
+        if not saved:
+            raise GeomidError(f"the node could not save: {sentence}")
+        end = time.monotonic() + _LINGER
         while time.monotonic() < end:
             rclpy.spin_once(self._watcher, timeout_sec=0.05)
-
-    def _ask(self, client: Client) -> Trigger.Response | None:
-        answer = client.call_async(Trigger.Request())
-        rclpy.spin_until_future_complete(self._watcher, answer, timeout_sec=_PATIENCE)
-        return answer.result()
-
-
-def _is_late(answer: str) -> bool:
-    """True if another save may succeed, or be from more data, as on a busy machine."""
-    return any(word in answer for word in (FOLLOWS, NOT_YET, SLOW))

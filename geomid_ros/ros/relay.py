@@ -57,11 +57,9 @@ class AdaptationNode:
         Raises:
             InputError: this link cannot adapt.
         """
-        self._node = node
+        self._node, self._session, self._heaviest = node, session, heaviest
         self._joints = session.robot.joint_names
         self._link = link or session.robot.body_names[-1]
-        self._heaviest = heaviest
-        self._session = session
         self._correction = self._new()
         self._trajectory: Trajectory | None = None
         self._start = 0.0
@@ -86,11 +84,9 @@ class AdaptationNode:
 
     def use(self, session: Session) -> None:
         """Restart with another model of the robot; a correction that is off stays off."""
-        reason = self._correction.latch.reason
-        self._session = session
+        reason, self._session = self._correction.latch.reason, session
         self._begin_anew()
-        if reason:
-            self._correction.latch.switch_off(reason)
+        self._correction.latch.switch_off(reason)
 
     def _begin_anew(self) -> None:
         before, self._correction = self._correction, self._new()
@@ -109,8 +105,7 @@ class AdaptationNode:
         rest = np.array([self._position, *np.zeros((2, len(self._joints)))])
         if self._trajectory is None:
             return rest
-        passed = time - self._start
-        order = [self._trajectory.joints.index(joint) for joint in self._joints]
+        passed, order = time - self._start, [self._trajectory.joints.index(joint) for joint in self._joints]
         motion = self._trajectory.states(np.array([passed]))[:3, 0, order]
         if not 0.0 <= passed <= self._trajectory.duration:
             motion[1:] = 0.0
@@ -138,8 +133,7 @@ class AdaptationNode:
     def _send(self) -> None:
         """Publish the present inertia and correction, also if no joint states arrive."""
         now = self._now
-        sent = self._correction(now, self._commanded(now))
-        stamp = round(1e9 * now)
+        sent, stamp = self._correction(now, self._commanded(now)), round(1e9 * now)
         self._inertias.publish(inertia_message(self._link, self._correction.adaptation.point.parameters, stamp))
         message = JointState(name=list(self._joints), effort=sent.tolist())
         message.header.stamp = ros_time(stamp)
@@ -163,10 +157,10 @@ class AdaptationNode:
         """Publish the status, and log once why the correction is off."""
         reason, change = self._correction.latch.reason, float(self._correction.adaptation.change[0])
         level, sentence = DiagnosticStatus.OK, f"{change:+.2f} kg"
+        if self._lacking:
+            level, sentence = DiagnosticStatus.WARN, f"no usable joint states: {self._lacking}"
         if reason:
             level, sentence = DiagnosticStatus.ERROR, f"off until ~/reset: {reason}"
-        elif self._lacking:
-            level, sentence = DiagnosticStatus.WARN, f"no usable joint states: {self._lacking}"
         if reason and reason != self._said:
             self._node.get_logger().error(f"adaptation of '{self._link}' is {sentence}")
         self._said = reason
@@ -222,14 +216,10 @@ class FeedforwardRelay:
         values: dict[str, Any] = {name: parameter.default for name, parameter in table.items()}
         values |= given_parameters(node, table)
         self._model, controller, heaviest = values["model"], values["controller"], values["heaviest_payload"]
-        self._options = FillOptions(
-            values["urdf"] or None,
-            config=values["config"] or None,
-            tolerance=values["tolerance"],
-            force=values["force"],
-        )
+        urdf, config, force = values["urdf"] or None, values["config"] or None, values["force"]
+        self._options = FillOptions(urdf, config=config, tolerance=values["tolerance"], force=force)
         self._read_at = self._changed_at()
-        self._session = self._read()
+        self._session = robot_to_move(self._options, self._model or None)
         self._filling = ThreadPoolExecutor(1)
         self._due: SimpleQueue[Callable[[], None]] = SimpleQueue()  # what the thread leaves to the node's
         self._is_due = node.create_guard_condition(self._do_due)
@@ -245,9 +235,6 @@ class FeedforwardRelay:
             return Path(self._model).stat().st_mtime_ns
         except OSError:
             return 0  # reading reports it
-
-    def _read(self) -> Session:
-        return robot_to_move(self._options, self._model or None)
 
     def close(self) -> None:
         """Wait for the trajectory whose efforts are being computed."""
@@ -276,22 +263,20 @@ class FeedforwardRelay:
 
     def _fill(self, message: JointTrajectory, done: Callable[[Future[Filled]], None]) -> None:
         """Add efforts to a trajectory; ``done`` is called in the node's thread."""
-        result = self._filling.submit(self._filled, message)
-        result.add_done_callback(lambda _: self._later(partial(done, result)))
+        self._filling.submit(self._filled, message).add_done_callback(lambda result: self._later(partial(done, result)))
 
     def _filled(self, message: JointTrajectory) -> Filled:
         """Add efforts to a trajectory. Raises GeomidError if it is refused."""
         if not message.points:  # a command to stop
             return Filled(message, None)
         if (changed_at := self._changed_at()) != self._read_at:
-            self._session = self._read()
+            self._session = robot_to_move(self._options, self._model or None)
             self._read_at = changed_at
             if self._adapting is not None:
                 self._later(partial(self._adapting.use, self._session))
             self._log.info(f"{self._model} has changed and is read again")
-        result = fill_efforts(
-            self._session, trajectory_of(message, "trajectory"), self._options.tolerance, "trajectory"
-        )
+        given = trajectory_of(message, "trajectory")
+        result = fill_efforts(self._session, given, self._options.tolerance, "trajectory")
         answer = message_of(result.trajectory)
         answer.header = message.header
         return Filled(answer, result.trajectory)

@@ -21,6 +21,9 @@ MATCHING = 0.5
 PATIENCE = 5.0
 """Time [s] within which existing nodes and topics are discovered."""
 
+POLL = 5e-3
+"""Time [s] between polls for messages that are to be processed at once; each poll costs as much as a message."""
+
 # Everything is polled: messages cost less when many come at once, and the filter delays rows by four times as
 # long. If the executor waited for anything else, every message would wake it.
 PAUSE = 0.11

@@ -15,7 +15,7 @@ from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.session.options import Surroundings, texts
 from geomid_ros.types import FloatArray
 
-COLLISIONS_NOT_CHECKED = "collisions are not looked for (--no-collision): watch the robot"
+_NOT_CHECKED = "collisions are not looked for (--no-collision): watch the robot"
 _FORMS = "box:X,Y,Z,LENGTH,WIDTH,HEIGHT, plane:NX,NY,NZ,OFFSET or a mesh file, in metres in the base frame"
 _NEIGHBOURS = 2  # joints between links whose hulls may overlap all the time
 
@@ -33,9 +33,11 @@ def collision_model(around: Surroundings, robot: Robot, source: Path) -> Collisi
     return CollisionModel(robot, link_shapes(robot.urdf, source, around.package_path or {}), avoided)
 
 
-def without_touching(collision: CollisionModel, start: FloatArray) -> tuple[Pair, ...]:
+def without_touching(collision: CollisionModel | None, start: FloatArray) -> tuple[Pair, ...]:
     """Exclude pairs of links that overlap at the start ``(J,)`` of a motion and are at most two joints apart, as their
     hulls are too coarse. Returns these pairs."""
+    if collision is None:
+        return ()
     touching = collision.distances(start[None])[0] <= 0.0
     touching &= np.count_nonzero(collision.reach, axis=1) <= _NEIGHBOURS
     touching &= np.array([not pair.is_obstacle for pair in collision.pairs], dtype=bool)
@@ -44,10 +46,12 @@ def without_touching(collision: CollisionModel, start: FloatArray) -> tuple[Pair
     return tuple(dict.fromkeys(pairs))
 
 
-def excluded_pairs_note(pairs: Sequence[Pair]) -> str:
-    """Sentence on the excluded pairs; empty if there are none."""
-    listing = "; ".join(map(str, pairs))
-    return f"not watched, as their convex hulls overlap at the start already: {listing}" if listing else ""
+def not_watched(collision: CollisionModel | None, excluded: Sequence[Pair]) -> list[str]:
+    """Sentences on what is not checked: everything, or the ``excluded`` pairs."""
+    if collision is None:
+        return [_NOT_CHECKED]
+    listing = "; ".join(map(str, excluded))
+    return [f"not watched, as their convex hulls overlap at the start already: {listing}"] if listing else []
 
 
 def link_shapes(urdf: str, path: Path, packages: Mapping[str, Path]) -> dict[str, list[ConvexShape]]:

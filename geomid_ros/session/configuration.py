@@ -57,31 +57,26 @@ class Parameter:
 
     def checked(self, name: str, value: Any) -> Value:
         """Return a value of this parameter, whose full name is ``name``. Raises InputError if it does not fit."""
-        value = _of_python(value)
-        if isinstance(self.default, float):
-            value = _real(value)
         if isinstance(self.default, list):
-            value = _checked_list(name, value, type(self.default[0]))
-        elif type(value) is not type(self.default):
-            raise InputError(f"{name} is {value!r}, expected {_KINDS[type(self.default)]}")
-        if self.choices and value not in self.choices:
-            raise unknown_name(f"value of {name}", value, self.choices)
-        if isinstance(value, float):
-            low, high = self.minimum, self.maximum
-            if not np.isfinite(value) or (low is not None and value < low) or (high is not None and value > high):
-                raise InputError(f"{name} is {value:g}, expected a number from {low:g} to {high:g}")
-        checked: Value = value
+            return _checked_list(name, value, type(self.default[0]))
+        checked: Value = _real(value) if isinstance(self.default, float) else _of_python(value)
+        if type(checked) is not type(self.default):
+            raise InputError(f"{name} is {checked!r}, expected {_KINDS[type(self.default)]}")
+        if isinstance(checked, str) and self.choices and checked not in self.choices:
+            raise unknown_name(f"value of {name}", checked, self.choices)
+        low, high = self.minimum, self.maximum
+        if isinstance(checked, float) and low is not None and high is not None and not low <= checked <= high:
+            raise InputError(f"{name} is {checked:g}, expected a number from {low:g} to {high:g}")
         return checked
 
 
 def _checked_list(name: str, value: Any, kind: type) -> list[Any]:
-    entries = [*map(_of_python, value)] if isinstance(value, (list, tuple)) else [value]
-    if kind is float:
-        entries = [_real(entry) for entry in entries]
-    valid = all(isinstance(entry, kind) for entry in entries)
-    if not valid or (kind is float and not np.all(np.isfinite(entries))):
-        expected = "finite numbers" if kind is float else "texts"
-        raise InputError(f"{name} is {value!r}, expected a list of {expected}")
+    value = _of_python(value)
+    convert = _real if kind is float else _of_python
+    entries: list[Any] = [convert(entry) for entry in (value if isinstance(value, list | tuple) else [value])]
+    is_valid = all(isinstance(entry, kind) for entry in entries)
+    if not is_valid or (kind is float and not np.all(np.isfinite(entries))):
+        raise InputError(f"{name} is {value!r}, expected a list of {'finite numbers' if kind is float else 'texts'}")
     return [entry for entry in entries if entry != ""]
 
 
@@ -91,7 +86,8 @@ def _of_python(value: Any) -> Any:
 
 
 def _real(value: Any) -> Any:
-    """Convert an integer to a real number; return any other value unchanged."""
+    """Convert an integer to a real number, and others like :func:`_of_python`."""
+    value = _of_python(value)
     return float(value) if type(value) is int and abs(value) < 2**63 else value
 
 
@@ -207,6 +203,14 @@ PARAMETERS = (
 BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
 
+def naming(place: str, make: Callable[..., T], *arguments: Any) -> T:
+    """Return ``make(*arguments)``; an InputError of it then names the ``place``: a source, or a key."""
+    try:
+        return make(*arguments)
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from error
+
+
 def find_parameter(name: str, table: Mapping[str, Parameter] = BY_NAME) -> Parameter:
     """Find the parameter of a full name. Raises InputError with the valid names for an unknown one."""
     if name in table:
@@ -239,9 +243,12 @@ class Configuration:
             InputError: a parameter is unknown or has a wrong value; ``source`` and the key are named.
         """
         self.source = source
-        self._values = self.naming_source("", partial(checked_values, values or {}))
-        _ = self.effects, self.candidates, self.sensors, self.contacts, self.gains
-        _ = self.gravity, self.buffer, self.signals(()), self._estimator({})
+        self._values = naming(source, checked_values, values or {})
+        naming(source, self._check)
+        _ = self.signals(()), self.estimator()
+
+    def _check(self) -> None:
+        _ = self.effects, self.candidates, self.sensors, self.contacts, self.gains, self.gravity, self.buffer
 
     @staticmethod
     def read(path: Path) -> Configuration:
@@ -300,20 +307,13 @@ class Configuration:
         return [effect for effect in trials if isinstance(effect, IdentifiedEffect) and effect not in self.effects]
 
     def _named(self, key: str) -> list[IdentifiedEffect]:
-        return [self.naming_source(f"{key}: ", partial(identified_effect, name)) for name in dict.fromkeys(self[key])]
-
-    def naming_source(self, key: str, make: Callable[[], T]) -> T:
-        """Return the result of ``make``, whose error then names this source and the ``key``."""
-        try:
-            return make()
-        except InputError as error:
-            raise InputError(f"{self.source}: {key}{error}") from error
+        return [naming(key, identified_effect, name) for name in dict.fromkeys(self[key])]
 
     @property
     def gravity(self) -> FloatArray:
         """Gravity ``(3,)`` in the base frame."""
         if len(self["gravity"]) != 3:
-            raise InputError(f"{self.source}: gravity has {len(self['gravity'])} entries, expected 3")
+            raise InputError(f"gravity has {len(self['gravity'])} entries, expected 3")
         return np.array(self["gravity"])
 
     @property
@@ -325,32 +325,30 @@ class Configuration:
     def contacts(self) -> list[Contact]:
         """Feet whose forces follow from their legs' efforts. Raises InputError if the base's motion is not measured."""
         if self["contacts"] and not self.floating_base:
-            raise InputError(
-                f"{self.source}: contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose"
-            )
-        return [self.naming_source("", partial(Contact.parse, text)) for text in self["contacts"]]
+            raise InputError("contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose")
+        return [*map(Contact.parse, self["contacts"])]
 
     @property
     def gains(self) -> dict[str, Gains]:
         """Gains by joint, those of all other joints under an empty name; none if efforts are measured."""
         texts = (entry.rpartition("=") for entry in self["command.gains"])
-        pairs = ((joint, self.naming_source("command.gains: ", partial(Gains.parse, text))) for joint, _, text in texts)
-        return named_once(f"{self.source}: command.gains", pairs, "for each joint its own: JOINT=KP:KD")
+        pairs = ((joint, naming("command.gains", Gains.parse, text)) for joint, _, text in texts)
+        return named_once("command.gains", pairs, "for each joint its own: JOINT=KP:KD")
 
     @property
     def sensors(self) -> list[WrenchSensor]:
         """Declared wrench sensors."""
         for name in {full.split(".")[1] for full in self._values if full.startswith("wrench.")}:
             if name not in self["wrenches"]:
-                raise InputError(f"{self.source}: wrench.{name} is described but 'wrenches' does not list '{name}'")
+                raise InputError(f"wrench.{name} is described but 'wrenches' does not list '{name}'")
         return [self._sensor(name) for name in self["wrenches"]]
 
     def _sensor(self, name: str) -> WrenchSensor:
         fields = {key: self[f"wrench.{name}.{key}"] for key in _OF_SENSOR}
         if not fields["frame"]:
-            raise InputError(f"{self.source}: wrench.{name}.frame is not given")
+            raise InputError(f"wrench.{name}.frame is not given")
         fields |= {"topic": fields["topic"] or name, "axes": tuple(fields["axes"])}
-        return self.naming_source(f"wrench.{name}: ", lambda: WrenchSensor(**fields))
+        return naming(f"wrench.{name}", partial(WrenchSensor, **fields))
 
     def behind_gear(self, joints: Sequence[str]) -> frozenset[str]:
         """Joints whose efforts are measured on the link side of the gear. Raises InputError for a side of a joint that
@@ -365,43 +363,35 @@ class Configuration:
         by_joint = self._under("joint", ".effort_gain")
         common = self["effort_gain"]
         gains = {joint: by_joint.get(joint, common) for joint in joints} | by_joint
-        return self.naming_source(
-            "",
-            lambda: SignalSettings(
-                cutoff=self["filter.cutoff"],
-                period=self["filter.period"],
-                max_gap=self["filter.max_gap"],
-                effort_gain=gains if by_joint else common,
-                merge=self["merge_joint_states"],
-            ),
+        settings = partial(
+            SignalSettings,
+            cutoff=self["filter.cutoff"],
+            period=self["filter.period"],
+            max_gap=self["filter.max_gap"],
+            effort_gain=gains if by_joint else common,
+            merge=self["merge_joint_states"],
         )
+        return naming(self.source, settings)
 
-    def estimator(self, channels: Sequence[str]) -> EstimatorSettings:
-        """Settings of the estimator for a model with these channels; ``sigma.*`` may have dots for their slashes."""
-        by_name = {name: name for name in channels} | {name.replace("/", "."): name for name in channels}
-        sigma = {}
-        for name, value in self._under("sigma").items():
-            if name not in by_name:
-                raise InputError(f"{self.source}: sigma: {unknown_name('channel', name, channels)}")
-            sigma[by_name[name]] = value
-        return self._estimator(sigma)
-
-    def _estimator(self, sigma: dict[str, float]) -> EstimatorSettings:
-        return self.naming_source(
-            "",
-            lambda: EstimatorSettings(
-                self["gamma"] or None,
-                sigma or None,
-                self["objective"],
-                self["solver"],
-                known=tuple(map(WeighedMass.parse, self["known"])),
-                cutoff=self["filter.cutoff"],
-            ),
+    def estimator(self, channels: Sequence[str] | None = None) -> EstimatorSettings:
+        """Settings of the estimator for a model with these channels; ``sigma.*`` may have dots for their slashes. It is
+        left out without channels."""
+        sigma = {} if channels is None else self._under("sigma")
+        by_name = {alias: name for name in channels or () for alias in (name, name.replace("/", "."))}
+        if unknown := sigma.keys() - by_name.keys():
+            raise InputError(f"{self.source}: sigma: {unknown_name('channel', min(unknown), channels or ())}")
+        settings = partial(
+            EstimatorSettings,
+            self["gamma"] or None,
+            {by_name[name]: value for name, value in sigma.items()} or None,
+            self["objective"],
+            self["solver"],
+            known=tuple(naming(self.source, WeighedMass.parse, text) for text in self["known"]),
+            cutoff=self["filter.cutoff"],
         )
+        return naming(self.source, settings)
 
     @property
     def buffer(self) -> BufferSettings:
         """Settings of the row buffer."""
-        return self.naming_source(
-            "", lambda: BufferSettings(self["still_speed"], self["still_distance"], self["forgetting_time"] or np.inf)
-        )
+        return BufferSettings(self["still_speed"], self["still_distance"], self["forgetting_time"] or np.inf)

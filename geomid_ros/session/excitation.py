@@ -43,14 +43,9 @@ from geomid_ros.files.parameter_file import read_joint_limits
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.collision import CollisionModel, Pair
-from geomid_ros.model.effects import Effect, OnLink, Place, effect_class, values_of
+from geomid_ros.model.effects import OnLink, effect_class, values_of
 from geomid_ros.model.measurement_model import MeasurementModel
-from geomid_ros.session.collision_scene import (
-    COLLISIONS_NOT_CHECKED,
-    collision_model,
-    excluded_pairs_note,
-    without_touching,
-)
+from geomid_ros.session.collision_scene import collision_model, not_watched, without_touching
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import MotionOptions
 from geomid_ros.session.session import Session
@@ -177,12 +172,7 @@ def design_task(urdf: str, source: Path, configuration: Configuration, options: 
         belief = belief_from_estimate(model, posterior, sigmas, earlier)
     collision = collision_model(options, robot, source)
     feasibility, unwatched = _feasibility(belief, limits, collision, options)
-    notes = [
-        *limits.notes,
-        "" if collision else COLLISIONS_NOT_CHECKED,
-        excluded_pairs_note(unwatched),
-        *robot.inertia_repairs.values(),
-    ]
+    notes = (*limits.notes, *not_watched(collision, unwatched), *robot.inertia_repairs.values())
     slow = _SLOW_SHARE.get(options.aim, _SLOW_SHARE[PREDICTION])
     form = MotionForm(period=options.duration / options.repeats, slow_fraction=slow, repeats=options.repeats)
     return DesignTask(
@@ -190,7 +180,7 @@ def design_task(urdf: str, source: Path, configuration: Configuration, options: 
         belief=belief,
         form=form,
         excluded_pairs=unwatched,
-        notes=tuple(filter(None, notes)),
+        notes=notes,
     )
 
 
@@ -225,7 +215,7 @@ def _feasibility(
             f"--start has {len(wish.start)} numbers, expected {len(names)}: those of {', '.join(names)} [rad, m]"
         )
     candidates = [np.array(wish.start)] if len(wish.start) else list(start_postures(limits))
-    unwatched = without_touching(collision, candidates[0]) if collision is not None else ()
+    unwatched = without_touching(collision, candidates[0])
     errors = []
     for start in candidates:
         try:
@@ -283,18 +273,12 @@ def rival_effects(feasibility: Feasibility, path: Path) -> DiscriminationCriteri
     """
     findings, floor = read_open_findings(path)
     model = feasibility.belief.model.without_effects()
-    _refuse_other_robot(model, floor, path)
+    joints = [joint.name for joint in model.robot.tree.joints if joint.type != "fixed"]
+    if others := [name for name in floor if name not in joints and not is_wrench_channel(name)]:
+        raise InputError(f"{path}: was written for another robot: {unknown_name('joint', others[0], joints)}")
     belief = belief_from_urdf(model, feasibility.limits)
     belief = replace(belief, sigmas=frozen(_sigmas(belief, floor)))
     return DiscriminationCriterion(belief, [_ambiguity(model, finding) for finding in findings])
-
-
-def _refuse_other_robot(model: MeasurementModel, floor: Mapping[str, float], path: Path) -> None:
-    """Raise InputError if a gap report names joints that the robot does not have."""
-    joints = [joint.name for joint in model.robot.tree.joints if joint.type != "fixed"]
-    for name in floor:
-        if name not in joints and not is_wrench_channel(name):
-            raise InputError(f"{path}: was written for another robot: {unknown_name('joint', name, joints)}")
 
 
 def _ambiguity(model: MeasurementModel, finding: OpenFinding) -> Ambiguity:
@@ -319,10 +303,7 @@ def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Na
     place = places[link] if link in places else model.places.named(variants[0], joint)
     location = link or joint
     label = f"{cls.label} at {location}" if location else cls.label
-    return NamedEffect(variants, place, label, _parameter_count(variants[0], place))
-
-
-def _parameter_count(effect: Effect, place: Place) -> float:
-    """Number of parameters that an effect counts for; for a payload, those that sentences state, without inertia."""
-    terms = Candidate.of(effect, place).terms
-    return float(len(terms) + bool(effect.grid_value)) if terms else float(effect.stated_parameter_count or 0)
+    terms, first = Candidate.of(variants[0], place).terms, variants[0]
+    # A payload counts for the parameters that sentences state, without inertia.
+    count = len(terms) + bool(first.grid_value) if terms else first.stated_parameter_count or 0
+    return NamedEffect(variants, place, label, float(count))

@@ -28,7 +28,6 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, find_gap, remainder_of_model, residual_rms
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
-from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
@@ -44,7 +43,6 @@ from geomid_ros.types import FloatArray
 
 _LENGTHS = 0.1  # largest relative difference in duration of two recordings of one motion
 _MOTIONS = 0.5  # largest RMS difference in position / larger standard deviation: a simulation lags and droops
-_STILL = 0.02  # [rad, m] standard deviation assumed for a joint that does not move
 _LONGEST_SHIFT = 2.0  # [s] between the recordings' beginnings and those of the motion in them
 _STEP = 0.02  # [s] of the grid on which positions are compared
 MESSAGES_FOR_RATE = 64
@@ -172,8 +170,11 @@ def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatAr
     if prior is None or loaded.links_information is None:
         return None, deviations
     if (posterior := _posterior_of(session)) is not None:
-        known, prior_stds = _information_of(posterior, model)
-        deviations = np.where(np.isfinite(prior_stds), prior_stds, deviations)
+        order, (rows, _) = places_in(posterior, model), posterior.evidence
+        stds = np.abs(np.diag(posterior.jacobian)) * posterior.prior_stds  # apart from the data; of effects only
+        deviations = np.where((order >= 0) & np.isfinite(stds[order]), stds[order], deviations)
+        informative = np.where(order >= 0, rows[:, order], 0.0)
+        known = OtherRecordings(informative, np.zeros(len(rows)), np.zeros(len(model.coefficients)))
     elif (information := loaded.information(model)) is not None:
         known = OtherRecordings(information.rows, information.residuals)
     else:
@@ -193,17 +194,6 @@ def _posterior_of(session: Session) -> Posterior | None:
         posterior = read_posterior(path)
         check_matches_estimate(posterior, path, loaded.inertias or {}, loaded.source)
     return posterior if posterior is not None and {*session.model.body_names} <= {*posterior.links} else None
-
-
-def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[OtherRecordings, FloatArray]:
-    """Information of a posterior's data on the parameters of a model, relative to its estimate; and its prior
-    standard deviations ``(D,)``, valid for effects only, NaN where it has none."""
-    order, (rows, _) = places_in(posterior, model), posterior.evidence
-    prior_stds = np.abs(np.diag(posterior.jacobian)) * posterior.prior_stds
-    known = OtherRecordings(
-        np.where(order >= 0, rows[:, order], 0.0), np.zeros(len(rows)), np.zeros(len(model.coefficients))
-    )
-    return known, np.where(order >= 0, prior_stds[order], np.nan)
 
 
 def known_remainder_of(session: Session) -> KnownRemainder | None:
@@ -233,8 +223,13 @@ def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> K
     Raises:
         InputError: a bag cannot be read.
     """
-    cutoff, train = GapReader(session, bags, progress).train()
-    return remainder_of_model(session.model, train, cutoff, session.prior, session.loaded.situational_effects)
+    reader, known = GapReader(session, bags, progress), session.loaded.situational_effects
+    cutoff = gap_cutoff(session, reader.rate(bags.fitted))
+    # Effects in addition to the model's coefficients need columns of the library.
+    columns = library_columns(session.model) if known else session.model.columns
+    recorded = (reader.samples(path, session.new_pipeline(cutoff, columns)) for path in bags.fitted)
+    train = [split_held_out(samples, bags.held_out_fraction)[0] for samples in recorded]
+    return remainder_of_model(session.model, train, cutoff, session.prior, known)
 
 
 def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
@@ -311,7 +306,7 @@ class GapReader:
                 f"{len(simulated)} recordings of a simulator for {len(fitted)} bags: give --simulated once "
                 "for each bag, in their order"
             )
-        cutoff = gap_cutoff(self.session, self._rate([*fitted, *validate, *simulated]))
+        cutoff = gap_cutoff(self.session, self.rate([*self.bags.all, *simulated]))
         recorded = [self._whole(path, cutoff) for path in fitted]
         twins = [self._whole(path, cutoff) for path in simulated]
         for samples in recorded:
@@ -330,43 +325,31 @@ class GapReader:
         held_out = [samples for samples in held_out if len(samples)]
         return GapSamples(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
 
-    def train(self) -> tuple[float, list[Samples]]:
-        """Read the samples to fit, for the present model: their cutoff [Hz], and the samples, one element per bag.
-
-        Raises:
-            InputError: a bag cannot be used; it is named.
-        """
-        session, cutoff = self.session, gap_cutoff(self.session, self._rate(self.bags.fitted))
-        # Effects in addition to the model's coefficients need columns of the library.
-        columns = library_columns(session.model) if session.loaded.situational_effects else session.model.columns
-        pipelines = [session.new_pipeline(cutoff, columns) for _ in self.bags.fitted]
-        recorded = map(self._samples, self.bags.fitted, pipelines)
-        return cutoff, [split_held_out(samples, self.bags.held_out_fraction)[0] for samples in recorded]
-
     def high_cutoff_samples(self, topic: str = "") -> list[Samples]:
         """Read the samples to evaluate on, one element per bag, with the highest cutoff that the rate allows.
 
         Args:
             topic: read the joints' set-points on this topic instead of the joint states.
         """
-        shares = [(path, share) for path, share in self.bags.held_out_fractions if share > 0.0]
-        cutoff = min(SHARP_CUTOFF, self._rate([*self.bags.fitted, *self.bags.validate]) / LOWEST_RATE_PER_CUTOFF)
-        return [self._late(path, share, cutoff, topic) for path, share in shares]
-
-    def _late(self, path: Path, share: float, cutoff: float, topic: str) -> Samples:
-        _, late = split_held_out(self._samples(path, self.session.new_pipeline(cutoff), topic), share)
-        return Samples.concatenate([late])  # a copy, so that the whole recording is not kept in memory
+        cutoff, late = min(SHARP_CUTOFF, self.rate(self.bags.all) / LOWEST_RATE_PER_CUTOFF), list[Samples]()
+        for path, share in self.bags.held_out_fractions:
+            if share > 0.0:
+                samples = self.samples(path, self.session.new_pipeline(cutoff), topic)
+                # A copy, so that the whole recording is not kept in memory.
+                late.append(Samples.concatenate([split_held_out(samples, share)[1]]))
+        return late
 
     def _whole(self, path: Path, cutoff: float) -> Samples:
-        return self._samples(path, gap_pipeline(self.session, cutoff))
+        return self.samples(path, gap_pipeline(self.session, cutoff))
 
-    def _samples(self, path: Path, pipeline: SignalPipeline, topic: str = "") -> Samples:
+    def samples(self, path: Path, pipeline: SignalPipeline, topic: str = "") -> Samples:
+        """Samples of a whole bag."""
         topics = self.bags.topics
         topics = replace(topics, joint_states=topic, joint_option="--command") if topic else topics
         with Bag(path) as bag:
             return Samples.concatenate(list(read_samples(bag, self.session, pipeline, topics, self.progress)))
 
-    def _rate(self, paths: Sequence[Path]) -> float:
+    def rate(self, paths: Sequence[Path]) -> float:
         """Joint messages per second at the beginning of the slowest bag."""
         return min(message_rate(self._first_stamps(path)) for path in paths)
 
@@ -397,7 +380,8 @@ def _check_twin(session: Session, simulated: Path, twin: Samples, recorded: Path
             "simulator under the same commands, from their beginning to their end"
         )
     difference = _rms_differences(_resampled(twin), _resampled(measured))
-    motion = np.maximum(np.maximum(np.std(twin.position, axis=0), np.std(measured.position, axis=0)), _STILL)
+    deviations = np.maximum(np.std(twin.position, axis=0), np.std(measured.position, axis=0))
+    motion = np.maximum(deviations, session.configuration["still_distance"])
     worst = int(np.argmax(difference / motion))
     if difference[worst] > _MOTIONS * motion[worst]:
         raise InputError(
@@ -418,11 +402,6 @@ def _rms_differences(a: FloatArray, b: FloatArray) -> FloatArray:
     """RMS difference of positions ``(joints,)`` at the time shift that minimises the total difference."""
     longest = round(_LONGEST_SHIFT / _STEP)
     shifts = [shift for shift in range(-longest, longest + 1) if abs(shift) < min(len(a), len(b))]
-    differences = [_rms(a[max(shift, 0) :], b[max(-shift, 0) :]) for shift in shifts]
-    return differences[int(np.argmin([np.sum(rms**2) for rms in differences]))]
-
-
-def _rms(a: FloatArray, b: FloatArray) -> FloatArray:
-    count = min(len(a), len(b))
-    rms: FloatArray = np.sqrt(np.mean((a[:count] - b[:count]) ** 2, axis=0))
-    return rms
+    pairs = [(a[max(shift, 0) :], b[max(-shift, 0) :]) for shift in shifts]
+    squares = [np.mean((a[: len(b)] - b[: len(a)]) ** 2, axis=0) for a, b in pairs]
+    return np.asarray(np.sqrt(min(squares, key=np.sum)))

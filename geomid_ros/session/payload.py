@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
@@ -28,8 +28,6 @@ from geomid_ros.monitoring.payload_watch import PayloadWatch
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
-
-_NOTHING = slice(0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,44 +137,29 @@ def identify_payload(
         prior = np.where(order >= 0, empty.prior[order], prior)
         known = WeighedRows(np.where(order >= 0, rows[:, order], 0.0), targets)
     prior_stds = np.append(np.full(len(model.identified), DEFAULT_PRIOR_STD), PAYLOAD_PRIOR_STD)
-    summary = summarised(payload, _NOTHING)
+    summary = summarised(payload, slice(0))
     solve = partial(estimate, carrying, settings=settings, prior=prior, prior_stds=prior_stds, known=known)
     fit = solve(summary)
-    with_gains = [
-        solve(rescaled, warm=WarmStart(fit.parameters, spreads=fit.prior_stds))
-        for rescaled in _with_gain(summary, fit, gain, payload)
-    ]
-    result = _payload(link, fit, gain, with_gains, session)
+    change = np.zeros(carrying.dimension)  # of the efforts due to the payload, by one standard deviation of their gain
+    change[payload] = gain * fit.parameters[payload]
+    warm = WarmStart(fit.parameters, spreads=fit.prior_stds)
+    # One channel after the other. The gain of the robot's other efforts is in its links already.
+    rescaled = (summary.with_added_prediction(channel, change) for channel in range(len(model.channels)) if gain > 0.0)
+    result = _payload(link, fit, gain, [solve(rows, warm=warm) for rows in rescaled], session)
     if "mass" not in result.cannot_tell or isinstance(empty, Posterior):
         return result
-    swapped = summarised(_NOTHING, payload)
-    return _doubted(result) if _explains_less(summary, fit, swapped, solve(swapped)) else result
-
-
-def _explains_less(rows: RowSummary, fit: Estimate, swapped: RowSummary, other: Estimate) -> bool:
-    """True if a fit explains its rows less than another one explains them with the payload in the other recording."""
-    errors = (rows.rms_by_fold(fit.parameters), swapped.rms_by_fold(other.parameters))
-    return is_worse(*(np.nansum((each / np.maximum(fit.rms, np.finfo(float).tiny)) ** 2, axis=1) for each in errors))
-
-
-def _doubted(payload: WeighedPayload) -> WeighedPayload:
-    """Add the finding that the recordings are in the wrong order."""
+    swapped = summarised(slice(0), payload)
+    errors = (summary.rms_by_fold(fit.parameters), swapped.rms_by_fold(solve(swapped).parameters))
+    rms = np.maximum(fit.rms, np.finfo(float).tiny)
+    if not is_worse(*(np.nansum((each / rms) ** 2, axis=1) for each in errors)):
+        return result
     sentence = (
-        f"'{payload.link}' carries less in the second recording than in the first: are the recordings without (EMPTY) "
+        f"'{link}' carries less in the second recording than in the first: are the recordings without (EMPTY) "
         "and with the payload (LOADED) swapped?"
     )
-    fault = RecordingFault(cause=Cause(kind="swapped", sentence=sentence, places=(payload.link,)))
-    verdict = replace(payload.verdict, word=DOUBTFUL, reasons=(sentence, *payload.verdict.reasons))
-    return replace(payload, findings=(fault, *payload.findings), verdict=verdict)
-
-
-def _with_gain(rows: RowSummary, fit: Estimate, gain: float, columns: slice) -> Iterator[RowSummary]:
-    """Yield the rows as if the gain of one channel after the other were one standard deviation larger, which enlarges
-    the efforts due to the payload, the parameters ``columns``. The gain of the robot's other efforts is in its links
-    already, with and without the payload."""
-    change = np.zeros(len(fit.parameters))
-    change[columns] = gain * fit.parameters[columns]
-    return (rows.with_added_prediction(channel, change) for channel in range(len(rows.channels)) if gain > 0.0)
+    fault = RecordingFault(cause=Cause(kind="swapped", sentence=sentence, places=(link,)))
+    verdict = replace(result.verdict, word=DOUBTFUL, reasons=(sentence, *result.verdict.reasons))
+    return replace(result, findings=(fault, *result.findings), verdict=verdict)
 
 
 def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate], session: Session) -> WeighedPayload:
@@ -186,7 +169,9 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
     values = quantities_and_moments(body.parameters)
     bodies = [quantities_and_moments(other.links[-1].parameters) for other in shifted]
-    systematic = _gain_std(np.array(bodies).reshape(-1, len(values)) - values)
+    shifts = np.array(bodies).reshape(-1, len(values)) - values
+    # Gains of the channels are independent or common, whichever is worse.
+    systematic = np.maximum(np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0)))
     if link == session.robot.tree.root:  # elsewhere its moments distinguish a payload from the whole robot's mass
         robot = sum(other.mass for other in fit.links[:-1])
         heavier = body.parameters + np.append(session.relative_mass_std * robot, np.zeros(9))
@@ -208,10 +193,3 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
         findings=session.review.findings,
         verdict=recording_verdict(session.review.findings, "" if fit.converged else fit.reason),
     )
-
-
-def _gain_std(shifts: FloatArray) -> FloatArray:
-    """Standard deviations ``(n,)`` due to ``shifts (channels, n)`` by the channels' gains: the larger one of
-    independent and of common gains."""
-    independent, common = np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0))
-    return np.asarray(np.maximum(independent, common))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TypeVar
 
@@ -72,13 +73,18 @@ class Bags:
     def __post_init__(self) -> None:
         if not self.fitted:
             raise InputError("no bag is given")
-        counts = Counter(path.resolve() for path in (*self.fitted, *self.validate))
-        duplicate = next((path for path in (*self.fitted, *self.validate) if counts[path.resolve()] > 1), None)
+        counts = Counter(path.resolve() for path in self.all)
+        duplicate = next((path for path in self.all if counts[path.resolve()] > 1), None)
         if duplicate is not None:
             raise InputError(
                 f"{duplicate}: given twice. Fit and test need different data; without --validate the end of each bag "
                 "is held out"
             )
+
+    @property
+    def all(self) -> tuple[Path, ...]:
+        """All bags."""
+        return (*self.fitted, *self.validate)
 
     @property
     def held_out_fraction(self) -> float:
@@ -213,7 +219,7 @@ def read_samples(
     done = ready = 0
     progress(f"reading {bag.path.name}", 0.0)
     unitree = session.unitree()
-    for batch in bag.batches(list(names)):
+    for batch in chain(bag.batches(list(names)), [[]]):  # the last one is empty
 
         def refuse(place: int, reason: str) -> None:
             topic, time, kind, _ = batch[place]  # noqa: B023 called at once
@@ -223,15 +229,11 @@ def read_samples(
         pipeline.push(decoder.blocks(messages, lambda place, reason: refuse(origins[place], reason)))  # noqa: B023
         done += len(batch)
         progress(f"reading {bag.path.name}", done / max(total, 1))
-        samples = pipeline.collect()
-        if samples is not None:
+        if not batch:
+            pipeline.release()
+        if (samples := pipeline.collect()) is not None:
             ready += len(samples)
             yield samples
-    pipeline.release()
-    samples = pipeline.collect()
-    if samples is not None:
-        ready += len(samples)
-        yield samples
     if ready == 0:
         raise NoSamplesError(_why_no_samples(bag, session, pipeline), session.lockable)
 

@@ -69,20 +69,14 @@ class RecordingFacts:
         ledger = Ledger()
         ledger.add(self.accounts)
         ledger.add(later.accounts)
+        names = ("remarks", "incomplete", "unchecked", "settled")
+        texts = {name: tuple(dict.fromkeys((*getattr(self, name), *getattr(later, name)))) for name in names}
         return RecordingFacts(
             accounts=ledger.topics,
             findings=tuple({finding.sentence: finding for finding in (*self.findings, *later.findings)}.values()),
-            remarks=_once(self.remarks, later.remarks),
             unmeasured=tuple(joint for joint in self.unmeasured if joint in later.unmeasured),
-            incomplete=_once(self.incomplete, later.incomplete),
-            unchecked=_once(self.unchecked, later.unchecked),
-            settled=_once(self.settled, later.settled),
+            **texts,
         )
-
-
-def _once(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
-    """Texts of both, each once."""
-    return tuple(dict.fromkeys((*first, *second)))
 
 
 _OFTEN = "; does the driver publish more often than it measures? What repeats is left out, the rest serves"
@@ -95,15 +89,12 @@ def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account
         accounts: by topic.
         before: the accounts at an earlier time; faults counted until then are ignored.
     """
-    findings = []
-    for topic, account in accounts.items():
-        noted = account.noted - before.get(topic, Account()).noted
-        findings += [
-            RecordingFault(cause=Cause(kind="stream", sentence=f"{topic}: {remark.sentence}", places=(topic,)))
-            for remark in noted
-            if isinstance(remark, Reason) and remark.meaning == "driver error"
-        ]
-    return findings
+    return [
+        RecordingFault(cause=Cause(kind="stream", sentence=f"{topic}: {remark.sentence}", places=(topic,)))
+        for topic, account in accounts.items()
+        for remark in account.noted - before.get(topic, Account()).noted
+        if isinstance(remark, Reason) and remark.meaning == "driver error"
+    ]
 
 
 def is_continuous(accounts: Mapping[str, Account]) -> bool:
@@ -115,13 +106,11 @@ def peculiarities(accounts: Mapping[str, Account]) -> list[str]:
     """Remarks on refused or peculiar messages of topics whose other messages can be used."""
     remarks = []
     for topic, account in accounts.items():
-        if +account.rejected:
+        if refused := (+account.rejected).total():
             ((reason, count),) = account.rejected.most_common(1)
-            summary = f"{account.rejected.total()} of {account.received} messages are refused"
-            fraction = "all" if count == account.rejected.total() else f"{count}"
-            remarks.append(
-                f"{topic}: {summary}, {fraction} of them: {reason}{_OFTEN if meaning_of(reason) == 'repeated' else ''}"
-            )
+            summary = f"{topic}: {refused} of {account.received} messages are refused"
+            often = _OFTEN if meaning_of(reason) == "repeated" else ""
+            remarks.append(f"{summary}, {'all' if count == refused else count} of them: {reason}{often}")
     return [*remarks, *_noted(accounts, "told")]
 
 
@@ -146,7 +135,8 @@ def impossible_links(urdf: str, source: str, links: Iterable[LinkEstimate]) -> I
         links: the links to check.
     """
     for link in links:
-        solid = None if link.merged else _solid(urdf, source, link.name)
+        element = next(each for each in read_xml(urdf, source).findall("link") if each.get("name") == link.name)
+        solid = None if link.merged else _solid(element, source)
         if solid is None:
             continue
         density = link.mass / volume(solid.moments)
@@ -155,9 +145,7 @@ def impossible_links(urdf: str, source: str, links: Iterable[LinkEstimate]) -> I
                 f"link '{link.name}' has a mass of {link.mass:.3g} kg, i.e. a density of {density:.3g} kg/m^3 in its "
                 f"URDF shape; the densest material has {_DENSEST:.0f}"
             )
-            continue
-        nominal = inertial_parameters(_element(urdf, source, link.name), source)
-        if _is_outside(link.parameters, solid) and not _is_outside(nominal, solid):
+        elif _is_outside(link.parameters, solid) and not _is_outside(inertial_parameters(element, source), solid):
             yield f"link '{link.name}' has mass outside of its URDF shape"
 
 
@@ -170,18 +158,13 @@ def _is_outside(parameters: FloatArray | None, solid: Solid) -> bool:
     )
 
 
-def _element(urdf: str, source: str, name: str) -> Element:
-    return next(link for link in read_xml(urdf, source).findall("link") if link.get("name") == name)
-
-
-def _solid(urdf: str, source: str, name: str) -> Solid | None:
+def _solid(link: Element, source: str) -> Solid | None:
     """Solid that a link's shapes fill; None if none can be read."""
     # Few results need it, and importing the mesh reader takes a third of a second.
     from geomid_ros.files.shapes import ShapeReader  # noqa: PLC0415
 
-    element = _element(urdf, source, name)
     try:
-        return ShapeReader(Path(source), {}).solid(element)
+        return ShapeReader(Path(source), {}).solid(link)
     except (InputError, OSError, ImportError):
         return None
 
@@ -231,18 +214,15 @@ class Review:
         imu, setup, kept = self._imus[0], self._setup, self.check.recorded
         locked, gravity = setup.locked_joints, self._robot.gravity
         robot = Robot(setup.urdf, floating_base=True, locked_joints=locked, gravity=gravity, source=setup.source)
+        kind = "base"
+        reason = "efforts are not those of a robot whose base is fixed: if the base moves, say"
+        contacts = "FOOT:RADIUS,..."
         if feet := feet_of_fixed(robot, kept) if kept is not None else []:
+            kind = "description"
+            reason = "the efforts of the legs support the robot's weight: its base is not fixed. Say"
             contacts = ",".join(f"{foot}:RADIUS" for foot in feet)
-            sentence = (
-                f"the bag has an IMU ({imu}), and the efforts of the legs support the robot's weight: its base is not "
-                f"fixed. Say so with --imu {imu}:FRAME and --contacts {contacts}"
-            )
-            return (RecordingFault(cause=Cause(kind="description", sentence=sentence, places=(imu,))),)
-        sentence = (
-            f"the bag has an IMU ({imu}), and efforts are not those of a robot whose base is fixed: if the base moves, "
-            f"say so with --imu {imu}:FRAME and --contacts FOOT:RADIUS,..."
-        )
-        return (RecordingFault(cause=Cause(kind="base", sentence=sentence, places=(imu,))),)
+        sentence = f"the bag has an IMU ({imu}), and {reason} so with --imu {imu}:FRAME and --contacts {contacts}"
+        return (RecordingFault(cause=Cause(kind=kind, sentence=sentence, places=(imu,))),)
 
     def judge_with(self, judge: RunCheck) -> None:
         """Use ``judge``, for example in another process, instead of :meth:`CheckTask.judge`. Call before
@@ -300,8 +280,12 @@ class Review:
             worse = worse_channels(self._model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
         recorded = self.recorded
         samples = () if isinstance(judged, RowSummary) else judged
-        is_explained = any(finding.cause.kind != "unexplained" for finding in self.findings)
-        findings = self.findings if is_explained else self._unexplained(estimate, samples) or self.findings
+        findings = self.findings
+        if no_external_forces(self._model) and all(finding.cause.kind == "unexplained" for finding in findings):
+            # Joints whose efforts the estimate does not explain.
+            findings = (
+                as_faults(unexplained(self._model, samples, estimate.parameters, self.check.recorded)) or findings
+            )
         remarks = [*peculiarities(recorded.accounts), *self.remarks]
         if any(finding.cause.kind == "legs" for finding in findings):
             return replace(recording_verdict(findings, warnings=remarks), explains_all=True)
@@ -332,12 +316,6 @@ class Review:
             if far and len(self._robot.subtree(link.name)) > 1:
                 yield link
 
-    def _unexplained(self, estimate: Estimate, samples: Sequence[Samples]) -> tuple[RecordingFault, ...]:
-        """Findings on joints whose efforts an estimate does not explain; empty if there are none."""
-        if not no_external_forces(self._model):
-            return ()
-        return as_faults(unexplained(self._model, samples, estimate.parameters, self.check.recorded))
-
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
         """Sentences on what makes results doubtful: the initial model, the estimate and its verdict."""
         reasons = verdict.warnings if verdict is not None else ()
@@ -346,12 +324,12 @@ class Review:
             *reasons,
             *self._incomplete,
             *self._robot.inertia_repairs.values(),
-            *([_massless(self._robot.massless_links)] if self._robot.massless_links else []),
+            _massless(self._robot.massless_links),
             self._setup.loaded.not_predicted if estimate is not None else "",
         ]
-        if estimate is None or (verdict is not None and verdict.explains_all):
-            return [*filter(None, sentences)]
-        return [*filter(None, sentences), *estimate.warnings]
+        if estimate is not None and not (verdict is not None and verdict.explains_all):
+            sentences += estimate.warnings
+        return [*filter(None, sentences)]
 
     @property
     def notes(self) -> list[str]:
@@ -397,6 +375,8 @@ class Review:
 
 
 def _massless(links: Sequence[str]) -> str:
+    if not links:
+        return ""
     listing = f"'{links[0]}'" + (f" (and {len(links) - 1} other links)" if len(links) > 1 else "")
     return (
         f"{listing} moves without a mass in the URDF: it is not identified, and its mass is attributed to other links; "

@@ -16,7 +16,7 @@ from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.urdf_tree import parse
-from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.configuration import Configuration, naming
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
@@ -54,10 +54,9 @@ class Setup:
         """Joints fixed at zero: those of the configuration, and those that were locked when the model was
         identified."""
         self.robot = self.read_robot(urdf, source)
-        self.controller = configuration.naming_source(
-            "command.gains: ",
-            lambda: PDController.of(configuration.gains, self.robot.joint_names, configuration["command.delay"]),
-        )
+        gains, delay = configuration.gains, configuration["command.delay"]
+        key = f"{configuration.source}: command.gains"
+        self.controller = naming(key, PDController.of, gains, self.robot.joint_names, delay)
         """Controller from which efforts are computed; None if they are measured."""
         effects = configuration.effects
         model = MeasurementModel(
@@ -216,5 +215,5 @@ class Setup:
         frame = self.configuration["imu.frame"]
         if not frame:
             return None
-        placement = self.configuration.naming_source("imu.frame: ", lambda: self.robot.base_placement(frame))
+        placement = naming(f"{self.configuration.source}: imu.frame", self.robot.base_placement, frame)
         return ImuMount(placement[:3, :3], placement[:3, 3], self.robot.gravity)

@@ -19,30 +19,6 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.settings import MOST_WAITING_BYTES
 
 
-class Training:
-    """Gives samples to a session's identifier, and leaves out the rows of wrench sensors that are not as declared."""
-
-    def __init__(self, session: Session) -> None:
-        """Begin with the session's next samples."""
-        self._session = session
-        self._guard = WrenchGuard(session)
-
-    def add(self, samples: Samples) -> None:
-        """Add samples."""
-        for piece in samples.in_pieces():
-            _, rows, _ = self._session.identifier.add(piece)
-            self._guard.take(rows)
-
-    def end(self) -> None:
-        """Add findings on the sensors that are not as declared to the session's review."""
-        reported = {place for finding in self._session.review.findings for place in finding.cause.places}
-        self._session.review.findings += tuple(
-            RecordingFault(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
-            for topic, sentence in self._guard.sentences.items()
-            if topic not in reported
-        )
-
-
 def check_measured(session: Session, train: Iterable[Samples], bags: Sequence[Path]) -> None:
     """Refuse data without samples, or without a measurement that the model predicts.
 
@@ -75,15 +51,13 @@ class TrainingData:
         if not len(samples):
             return
         self._any = True
-        self._measured = self._measured or any(map(self._is_measured, samples.in_pieces()))
+        targets = (self._session.model.rows(piece).targets for piece in samples.in_pieces())
+        self._measured = self._measured or any(not np.all(np.isnan(each)) for each in targets)
         if self._standing is None and np.any(samples.standing):
             self._standing = samples
         self._low = np.minimum(self._low, np.min(samples.position, axis=0))
         self._high = np.maximum(self._high, np.max(samples.position, axis=0))
         self._fit(samples)
-
-    def _is_measured(self, samples: Samples) -> bool:
-        return not np.all(np.isnan(self._session.model.rows(samples).targets))
 
     def check(self, bags: Sequence[Path]) -> None:
         """Refuse the data like :func:`check_measured`."""
@@ -138,23 +112,38 @@ def _no_ground_forces(robot: Robot, legs: Legs, standing: Samples) -> str:
     )
 
 
-class WrenchGuard:
-    """Checks the mounted sensors of a session once, by the first rows that its identifier took."""
+class Training:
+    """Gives samples to a session's identifier. Checks its mounted wrench sensors once, by the first rows that it took,
+    and leaves out the rows of those that are not as declared."""
 
     def __init__(self, session: Session, watched: bool = False) -> None:
-        """Begin with the next rows. ``watched``: rows may be left out because of a payload, too."""
-        self._session = session
-        self._watched = watched
+        """Begin with the session's next samples. ``watched``: rows may be left out because of a payload, too."""
+        self._session, self._watched = session, watched
         self._sensors = sensor_channels(session.model)
         self._check = FirstForces(session.model, session.model.nominal_parameters)
         self._keep_revocable()
+
+    def add(self, samples: Samples) -> None:
+        """Add samples."""
+        for piece in samples.in_pieces():
+            _, rows, _ = self._session.identifier.add(piece)
+            self.check(rows)
+
+    def end(self) -> None:
+        """Add findings on the sensors that are not as declared to the session's review."""
+        reported = {place for finding in self._session.review.findings for place in finding.cause.places}
+        self._session.review.findings += tuple(
+            RecordingFault(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
+            for topic, sentence in self.sentences.items()
+            if topic not in reported
+        )
 
     @property
     def sentences(self) -> dict[str, str]:
         """Fault of each sensor that is not as declared, by its topic."""
         return {topic: f"{topic}: {problem} Its rows are left out" for topic, problem in self._check.problems.items()}
 
-    def take(self, rows: Rows) -> bool:
+    def check(self, rows: Rows) -> bool:
         """Check the sensors by rows that were taken, and leave out the rows of faulty sensors.
 
         Returns:
@@ -170,11 +159,8 @@ class WrenchGuard:
 
     def without_doubtful(self, rows: Rows) -> Rows:
         """Rows without those of faulty sensors."""
-        doubtful = [place for topic in self._check.problems for place in self._sensors[topic]]
-        if not doubtful:
-            return rows
         targets = rows.targets.copy()
-        targets[:, doubtful] = np.nan
+        targets[:, [place for topic in self._check.problems for place in self._sensors[topic]]] = np.nan
         return Rows(rows.coefficients, targets)
 
     def _keep_revocable(self) -> None:

@@ -74,11 +74,9 @@ def _changed(
     findings = []
     for finding in result.sure:
         previous = effects.pop((finding.effect, finding.joint), None) if finding.was else None
-        parameters = previous.parameters if previous else {}
-        shared = parameters.keys() & finding.was.keys()
-        findings.append(
-            with_shifted_parameters(finding, {name: parameters[name].value - finding.was[name] for name in shared})
-        )
+        before_it = previous.parameters if previous else {}
+        shifts = {name: before_it[name].value - was for name, was in finding.was.items() if name in before_it}
+        findings.append(with_shifted_parameters(finding, shifts))
     return WrittenModel(inertias, tuple(combined([*effects.values(), *findings])), result.newly_folded)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,29 +42,25 @@ def rnea(states: FloatArray) -> FloatArray:
     return np.array(efforts)
 
 
-@pytest.mark.parametrize("order", [(2, 0, 1)])
-def test_without_a_model_they_are_those_of_the_urdf(order: tuple[int, ...]) -> None:
-    """In the order of the trajectory's joints."""
-    given, places = motion(), list(order)
+def test_without_a_model_they_are_those_of_the_urdf_in_the_unit_of_the_messages() -> None:
+    """In the order of the trajectory's joints. A driver that says half of the torque, with the other sign at one joint,
+    takes commands in the same unit."""
+    given, places, gains = motion(), [2, 0, 1], np.array([2.0, -0.5, 1.0])
     columns = {name: getattr(given, name)[:, places] for name in ("positions", "velocities", "accelerations")}
-    other = replace(given, joints=tuple(JOINTS[place] for place in order), efforts=None, **columns)
-    found = geomid_ros.feedforward(other, None, urdf=URDF).trajectory
-    np.testing.assert_allclose(found.efforts, rnea(given.states(found.times)[:3])[:, places], atol=1e-9)
-
-
-@pytest.mark.parametrize("order", [(2, 0, 1)])
-def test_they_are_in_the_unit_of_the_messages(order: tuple[int, ...]) -> None:
-    """A driver that says half of the torque, with the other sign at one joint, takes commands in the same unit."""
-    given, places, gains = motion(), list(order), np.array([2.0, -0.5, 1.0])
-    columns = {name: getattr(given, name)[:, places] for name in ("positions", "velocities", "accelerations")}
-    other = replace(given, joints=tuple(JOINTS[place] for place in order), efforts=None, **columns)
+    other = replace(given, joints=tuple(JOINTS[place] for place in places), efforts=None, **columns)
     text = URDF.read_text().replace('effort="', 'effort="1').replace('effort="1', 'effort="3', 1)  # all different
-    plain = geomid_ros.feedforward(given, None, urdf=text)
-    found = geomid_ros.feedforward(other, None, urdf=text, gain=dict(zip(JOINTS, gains, strict=True)))
-    expected = plain.trajectory.states(found.trajectory.times)[:3]
-    np.testing.assert_allclose(found.trajectory.efforts * gains[places], rnea(expected)[:, places], atol=1e-9)
-    np.testing.assert_allclose(found.limits * np.abs(gains[places]), plain.limits[places])
+    plain = geomid_ros.feedforward(other, None, urdf=text)
     assert len(set(plain.limits.tolist())) > 1
+    found = geomid_ros.feedforward(other, None, urdf=text, gain=dict(zip(JOINTS, gains, strict=True)))
+    for result, factors in ((plain, np.ones(3)), (found, gains[places])):
+        expected = rnea(given.states(result.trajectory.times)[:3])[:, places]
+        np.testing.assert_allclose(result.trajectory.efforts * factors, expected, atol=1e-9)
+        np.testing.assert_allclose(result.limits * np.abs(factors), plain.limits)
+
+
+def linear(found: Trajectory, times: FloatArray) -> FloatArray:
+    """Efforts ``(N, joints)`` between the points, as a controller interpolates them."""
+    return np.array([np.interp(times, found.times, efforts) for efforts in found.efforts.T]).T
 
 
 def test_a_reversal_between_two_points_is_seen() -> None:
@@ -77,7 +74,7 @@ def test_a_reversal_between_two_points_is_seen() -> None:
 
     found = with_efforts(given, efforts, 0.01)
     at = np.linspace(0.0, 4.0, 4001)
-    off = np.abs(np.interp(at, found.times, found.efforts[:, 0]) - efforts(given.states(at)[:3])[:, 0])
+    off = np.abs(linear(found, at) - efforts(given.states(at)[:3]))
     assert np.mean(off > 0.1) < 0.005
 
 
@@ -87,8 +84,8 @@ def test_errors_that_are_opposite_about_the_middle_are_seen() -> None:
     given = Trajectory(("joint1",), times, lengths, np.full((2, 1), 1.0 / times[1]), np.zeros((2, 1)))
     found = with_efforts(given, lambda states: 1.0 + 0.5 * np.sin(2.0 * np.pi * states[0]), 0.1)
     between = np.linspace(*times, 200)
-    linear = np.interp(between, found.times, np.asarray(found.efforts)[:, 0])
-    assert np.max(np.abs(linear - 1.0 - 0.5 * np.sin(2.0 * np.pi * between / times[1]))) < 0.2
+    off = linear(found, between)[:, 0] - 1.0 - 0.5 * np.sin(2.0 * np.pi * between / times[1])
+    assert np.max(np.abs(off)) < 0.2
 
 
 @pytest.mark.parametrize("accelerated", [True, False])
@@ -109,11 +106,9 @@ def test_the_motion_stays_what_it_is(accelerated: bool) -> None:
 
 @pytest.mark.parametrize("tolerance", [0.1, 0.001])
 def test_straight_lines_between_them_are_as_near_as_asked_for(tolerance: float) -> None:
-    given = motion()
+    given, times = motion(), np.linspace(0.0, 4.0, 3001)
     found = with_efforts(given, rnea, tolerance)
-    times = np.linspace(0.0, 4.0, 3001)
-    between = np.array([np.interp(times, found.times, own) for own in found.efforts.T]).T
-    off = np.max(np.abs(between - rnea(given.states(times)[:3])), axis=0)
+    off = np.max(np.abs(linear(found, times) - rnea(given.states(times)[:3])), axis=0)
     assert np.all(off < 1.2 * tolerance * np.max(np.abs(found.efforts), axis=0))
 
 
@@ -131,12 +126,9 @@ def test_no_more_points_than_they_need() -> None:
 
 def test_a_motion_of_a_trapezoid_of_speed_is_cubic() -> None:
     """q = t^2 / 2: by positions and velocities alone the acceleration is 1 between all points."""
-    times = np.array([0.0, 0.5, 2.0])
+    times, between = np.array([0.0, 0.5, 2.0]), np.array([0.1, 0.7, 1.9])
     given = Trajectory(("a",), times, 0.5 * times[:, None] ** 2, times[:, None], np.zeros((3, 0)))
-    position, velocity, acceleration, _ = given.states(np.array([0.1, 0.7, 1.9]))
-    np.testing.assert_allclose(position[:, 0], [0.005, 0.245, 1.805])
-    np.testing.assert_allclose(velocity[:, 0], [0.1, 0.7, 1.9])
-    np.testing.assert_allclose(acceleration, 1.0)
+    np.testing.assert_allclose(given.states(between)[:3, :, 0], [0.5 * between**2, between, np.ones(3)])
 
 
 REFUSED = {
@@ -167,9 +159,14 @@ def test_a_simulated_robot_tracks_with_what_was_identified(tmp_path: Path) -> No
     assert identified < urdf / 10.0
 
 
-def test_only_what_the_motors_do_is_commanded(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def estimate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("estimate")
+    return geomid_ros.identify(BAGS / "arm3", URDF, candidates=[]).save(folder, report=False)[0]
+
+
+def test_only_what_the_motors_do_is_commanded(estimate: Path) -> None:
     """An offset of the effort's sensor moves nothing; friction has to be overcome."""
-    estimate = geomid_ros.identify(BAGS / "arm3", URDF, candidates=[]).save(tmp_path, report=False)[0]
     session = geomid_ros.feedforward(motion(), estimate, force=True).session
     model, states = session.model, motion().states(np.linspace(0.0, 4.0, 50))[:3]
 
@@ -183,16 +180,15 @@ def test_only_what_the_motors_do_is_commanded(tmp_path: Path) -> None:
     np.testing.assert_allclose(efforts("viscous_friction") - efforts("nothing"), 5.0 * states[1], atol=1e-9)
 
 
-def test_a_robot_on_its_legs_and_efforts_that_cannot_be_predicted_are_refused(tmp_path: Path) -> None:
-    estimate = geomid_ros.identify(BAGS / "arm3", URDF, candidates=[]).save(tmp_path, report=False)[0]
-    document = json.loads(estimate.read_text())
+def test_a_robot_on_its_legs_and_efforts_that_cannot_be_predicted_are_refused(estimate: Path, tmp_path: Path) -> None:
+    document, legs = json.loads(estimate.read_text()), estimate.with_name("legs.json")
     document["channels"].append({"channel": "base/fx", "unit": "N"})
-    (tmp_path / "legs.json").write_text(json.dumps(document))
+    legs.write_text(json.dumps(document))
     with pytest.raises(InputError, match=r"legs\.json: floating base: leg efforts"):
-        geomid_ros.feedforward(motion(), tmp_path / "legs.json", force=True)
-    (tmp_path / "identified.urdf").unlink()
+        geomid_ros.feedforward(motion(), legs, force=True)
+    alone = shutil.copy(estimate, tmp_path)
     with pytest.raises(InputError, match=r"estimate\.json: identified\.urdf is missing .*; give the urdf"):
-        geomid_ros.feedforward(motion(), estimate, force=True)
+        geomid_ros.feedforward(motion(), alone, force=True)
     sensors = ("/tip:tool:external:fx,fy,fz", "/wrench:wrist_ft:mounted")
     with pytest.raises(InputError, match="efforts cannot be predicted"):
         geomid_ros.feedforward(motion(), None, urdf=URDF, wrench=sensors)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from geomid_ros.live.dashboard import Diagnosis, state_of
+from geomid_ros.live.dashboard import state_of
 
 LINK = {"mass": "2", "mass std": "0.1", "from data": "0.5", "merged": "tool", "not identifiable": "com x"}
 STREAM = {
@@ -26,12 +28,18 @@ STREAM = {
 }
 
 
-def diagnoses(**links: dict[str, str]) -> list[Diagnosis]:
+def status(name: str, level: int, message: str, values: dict[str, str]) -> Any:
+    """As much of a DiagnosticStatus as the page shows."""
+    pairs = [SimpleNamespace(key=key, value=value) for key, value in values.items()]
+    return SimpleNamespace(name=name, level=bytes([level]), message=message, values=pairs)
+
+
+def diagnoses(**links: dict[str, str]) -> list[Any]:
     return [
-        Diagnosis("other: stream", 2, "of another node", {}),
-        Diagnosis("ns/geomid: stream", 1, "a gap", STREAM),
-        Diagnosis("ns/geomid: gap finding", 0, "looking", {"verdict": "named"}),
-        *(Diagnosis(f"ns/geomid: {name}", 0, "", values) for name, values in links.items()),
+        status("other: stream", 2, "of another node", {}),
+        status("ns/geomid: stream", 1, "a gap", STREAM),
+        status("ns/geomid: gap finding", 0, "looking", {"verdict": "named"}),
+        *(status(f"ns/geomid: {name}", 0, "", values) for name, values in links.items()),
     ]
 
 
@@ -82,7 +90,11 @@ def test_whatever_is_said_it_is_json(mass: str, deviation: str) -> None:
 
 
 def test_who_publishes_much_does_not_fill_the_page() -> None:
-    many = {f"link{number}": LINK for number in range(10_000)}
+    """Of 500 statuses two are no links."""
+    many = {f"link{number}": LINK | {f"key{other}": "1" for other in range(1000)} for number in range(1000)}
     state = state_of("ns/geomid", diagnoses(**many))
     assert state is not None
-    assert len(state["links"]) == 500
+    assert len(state["links"]) == 498
+    (state,) = [state_of("geomid", [status("geomid: stream", 0, "", {f"key{n}": "1" for n in range(1000)})])]
+    assert state is not None
+    assert len(state["numbers"]) == 500

@@ -45,6 +45,7 @@ class Rippling:
         self.messages = [
             AcceptedMessages(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, measured]))
         ]
+        self.session.recent(self.messages[0])
         pipeline = self.session.new_pipeline()
         pipeline.push_accepted(self.messages[0])
         samples = pipeline.collect()
@@ -52,10 +53,7 @@ class Rippling:
         self.session.identifier.add(samples)
         self.estimate = self.session.identifier.solve()
 
-    @property
-    def worker(self) -> Any:
-        """As much of one as saving asks."""
-        return SimpleNamespace(session=self.session, messages=lambda: self.messages)
+        self.worker: Any = SimpleNamespace(session=self.session)  # as much of one as saving asks
 
 
 @pytest.fixture(scope="module")
@@ -63,20 +61,10 @@ def arm() -> Rippling:
     return Rippling()
 
 
-class Done:
-    """A thread that has ended."""
-
-    def __init__(self, _: str, act: Any, *arguments: Any) -> None:
-        act(*arguments)
-
-    def join(self, _: float) -> None:
-        """At once."""
-
-
 @pytest.fixture
 def saving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Saving:
     """In no thread."""
-    monkeypatch.setattr(module, "start_daemon", Done)
+    monkeypatch.setattr(module, "start_daemon", lambda _, act, *arguments: act(*arguments))
     return Saving(str(tmp_path))
 
 
@@ -101,38 +89,30 @@ def test_a_search_is_told_what_the_estimate_lacked(
         assert second > 5.0 * max(first, third)
 
 
-def test_it_is_saved_after_the_answer(arm: Rippling, saving: Saving, tmp_path: Path) -> None:
-    answers: list[Any] = []
-
-    def answered(answer: Any) -> None:
-        answers.append((answer[0], read_remainder(tmp_path / POSTERIOR)))
-
-    saving.begin(arm.worker, arm.estimate, answered)
-    assert answers == [(True, None)]
-    found = read_remainder(tmp_path / POSTERIOR)
-    assert found is not None
-    assert found.channels == ("joint1", "joint2", "joint3")
-
-
-def test_it_is_of_all_messages_that_the_estimate_is_from_whether_a_gap_is_open_or_not(
+def test_it_is_saved_after_the_answer_and_is_of_all_messages_that_the_estimate_is_from(
     arm: Rippling, saving: Saving, tmp_path: Path
 ) -> None:
+    """Whether a gap is open or not."""
+    path, answers = tmp_path / POSTERIOR, list[Any]()
+    saving.begin(arm.worker, arm.estimate, lambda answer: answers.append((answer[0], read_remainder(path))))
+    assert answers == [(True, None)]
     (whole,) = arm.messages
-    early = [whole.before(int(whole.stamps[len(whole) // 2]))]
-    worker: Any = SimpleNamespace(session=arm.session, messages=lambda: arm.messages, messages_before_gap=lambda: early)
-    saving.begin(worker, arm.estimate, lambda _: None)
     saved = identified_session(arm.session, arm.estimate)
-    expected, other = (remainder_in_messages(saved, each) for each in (arm.messages, early))
-    remainder = read_remainder(tmp_path / POSTERIOR)
+    expected = remainder_in_messages(saved, arm.messages)
+    other = remainder_in_messages(saved, [whole.before(int(whole.stamps[len(whole) // 2]))])
+    found = read_remainder(path)
     assert expected is not None
     assert other is not None
-    assert remainder is not None
-    for place, mean in enumerate(remainder.means):
-        np.testing.assert_allclose(mean, expected.means[place], rtol=1e-9, atol=1e-12)
-    assert not np.allclose(remainder.means[1], other.means[1], rtol=1e-3)
+    assert found is not None
+    assert found.channels == ("joint1", "joint2", "joint3")
+    for mean, own in zip(found.means, expected.means, strict=True):
+        np.testing.assert_allclose(mean, own, rtol=1e-9, atol=1e-12)
+    assert not np.allclose(found.means[1], other.means[1], rtol=1e-3)
 
 
-def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_path: Path) -> None:
+def test_it_is_not_given_to_another_estimate(
+    arm: Rippling, saving: Saving, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """That was saved meanwhile."""
     other = arm.session.identifier.solve()
 
@@ -140,7 +120,8 @@ def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_
         saving.save_last(arm.session, other).result(PATIENCE)
         return arm.messages
 
-    saving.begin(SimpleNamespace(session=arm.session, messages=save_other), arm.estimate, lambda _: None)
+    monkeypatch.setattr(arm.session.recent, "entries", save_other)
+    saving.begin(arm.worker, arm.estimate, lambda _: None)
     assert read_posterior(tmp_path / POSTERIOR).parameters.tolist() == other.posterior.parameters.tolist()
     assert read_remainder(tmp_path / POSTERIOR) is None
 

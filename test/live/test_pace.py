@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import cycle
+
+import pytest
+
 from geomid_ros.live.solver import Pace
 
 
-def test_an_estimate_is_worth_making_while_much_is_new() -> None:
+@pytest.mark.parametrize(
+    ("rows", "much_is_new", "due"),
+    [
+        ([10, 20, 30], [True], [1, 2, 3]),
+        (range(1, 31), [False], [10, 20, 30]),
+        ([10, 20, 20], [False], [3]),
+        (range(1, 17), [number == 6 for number in range(1, 17)], [6, 16]),
+    ],
+    ids=["much is new", "at every tenth period", "no more data come", "a tenth is counted from the last one"],
+)
+def test_an_estimate_is_due(rows: Sequence[int], much_is_new: list[bool], due: list[int]) -> None:
     pace = Pace()
-    assert [pace.is_due(rows, much_is_new=True) for rows in (10, 20, 30)] == [True, True, True]
-
-
-def test_and_at_every_tenth_period_though_little_is() -> None:
-    pace = Pace()
-    worth = [pace.is_due(rows, much_is_new=False) for rows in range(1, 31)]
-    assert [number for number, now in enumerate(worth, start=1) if now] == [10, 20, 30]
-
-
-def test_and_once_no_more_data_come() -> None:
-    pace = Pace()
-    assert [pace.is_due(rows, much_is_new=False) for rows in (10, 20, 20)] == [False, False, True]
-
-
-def test_periods_are_counted_from_the_last_time_that_it_was_worth_making() -> None:
-    pace = Pace()
-    for rows in range(1, 6):
-        pace.is_due(rows, much_is_new=False)
-    pace.is_due(6, much_is_new=True)
-    assert [pace.is_due(rows, much_is_new=False) for rows in range(7, 17)] == 9 * [False] + [True]
+    found = [pace.is_due(count, is_new) for count, is_new in zip(rows, cycle(much_is_new), strict=False)]
+    assert [number for number, is_due in enumerate(found, start=1) if is_due] == due

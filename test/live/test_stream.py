@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,9 @@ from files.recordings import BAGS, TYPES
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.live.effort_predictor import EffortPredictor
+from geomid_ros.live.effort_predictor import EffortPredictor, Predicted
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.model.samples import samples_of
 from geomid_ros.monitoring.payload_watch import CarriedPayload
@@ -47,6 +49,17 @@ def messages(names: tuple[str, ...] = JOINTS, velocities: bool = True, first: fl
     ]
 
 
+def stream_of(session: Session, estimate: Estimate) -> EffortPredictor:
+    stream = EffortPredictor()
+    stream.set_model(session, estimate)
+    return stream
+
+
+def motion_of(found: Iterable[Predicted]) -> FloatArray:
+    """Positions, velocities and accelerations ``(3, N, joints)``."""
+    return np.concatenate([predicted.motion for predicted in found], axis=1)
+
+
 def message(stamp: int, names: tuple[str, ...], position: FloatArray, velocity: FloatArray) -> bytes:
     """A message (CDR) at a ``stamp`` [ns], without efforts."""
     kinds, (seconds, nanoseconds) = TYPES.types, divmod(stamp, 10**9)
@@ -69,12 +82,11 @@ def test_messages_are_predicted_as_rows_predict_their_motion(
 ) -> None:
     """The acceleration lags by a few milliseconds; nothing else does."""
     session, estimate = identification.session, identification.estimate
-    stream, sent = EffortPredictor(), messages(names, velocities)
-    stream.set_model(session, estimate)
+    stream, sent = stream_of(session, estimate), messages(names, velocities)
     found = [p for begin in range(0, len(sent), together) for p in stream.predict(sent[begin : begin + together])]
     assert np.concatenate([p.stamps for p in found]).tolist() == [round(1e9 * time) for time in TIMES]
     assert {predicted.joints for predicted in found} == {JOINTS}
-    motion, seen = exact(), np.concatenate([p.motion for p in found], axis=1)
+    motion, seen = exact(), motion_of(found)
     np.testing.assert_allclose(seen[:2, 1:], motion[:2, 1:], atol=0.02)
     np.testing.assert_allclose(seen[2, 50:], motion[2, 50:], atol=0.1 * np.max(np.abs(motion[2])))
     expected = session.model.predicted_efforts(samples_of(motion), estimate.parameters)
@@ -96,15 +108,12 @@ def test_efforts_are_those_of_the_rows(identification: Identification) -> None:
 
 
 def test_efforts_are_in_the_unit_of_the_messages(identification: Identification) -> None:
-    options = {"gain": GAINS, "candidates": []}
-    other = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", **options).session
-    streams = EffortPredictor(), EffortPredictor()
-    estimate = replace(identification.estimate, parameters=other.model.nominal_parameters)
-    streams[0].set_model(other, estimate)
-    plain = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", candidates=[]).session
-    streams[1].set_model(plain, estimate)
-    with_gains, without = (next(s.predict(messages())).efforts for s in streams)
-    np.testing.assert_allclose(with_gains * [*GAINS.values()], without, atol=1e-9)
+    urdf, found = (BAGS / "arm3.urdf").read_text(encoding="utf-8"), []
+    for gains in ({f"joint.{joint}.effort_gain": gain for joint, gain in GAINS.items()}, {}):
+        session = Session(urdf, Configuration({"candidates": [], **gains}), "arm3.urdf")
+        estimate = replace(identification.estimate, parameters=session.model.nominal_parameters)
+        found.append(next(stream_of(session, estimate).predict(messages())).efforts)
+    np.testing.assert_allclose(found[0] * [*GAINS.values()], found[1], atol=1e-9)
 
 
 def test_what_is_carried_is_predicted_until_it_is_put_down(identification: Identification) -> None:
@@ -125,77 +134,55 @@ def test_what_is_carried_is_predicted_until_it_is_put_down(identification: Ident
         stream.set_payload(None)
 
 
-def spoiled(random: np.random.Generator) -> list[tuple[int, FloatArray, FloatArray]]:
-    """Stamps [ns], positions and velocities, some unknown, of a joint that turns around: stamps come twice, late, after
-    a pause, and from a clock that is set back."""
-    stamps = np.cumsum(random.integers(1, 4, 400)) * 1_000_000 + 5_000_000_000
-    stamps[150:] += 700_000_000
-    stamps[300:] -= 3_000_000_000
-    position = np.cumsum(random.normal(0.0, 0.2, (400, 3)), axis=0)
-    position[:, 1] = np.remainder(position[:, 1], 2.0 * np.pi)
-    velocity = random.normal(size=(400, 3))
-    velocity[random.uniform(size=velocity.shape) < 0.3] = np.nan
-    sent = list(zip(stamps.tolist(), position, velocity, strict=True))
-    for place in random.integers(5, 399, 60).tolist():
-        sent[place : place + 1] = [sent[place], sent[place - random.integers(0, 4)]]
-    return sent
-
-
-def one_by_one(
-    sent: list[tuple[int, FloatArray, FloatArray]], pause: int, time_constant: float, turning: int
-) -> FloatArray:
-    """Positions, velocities and accelerations ``(3, N, joints)`` by the definition, message by message."""
-    found: list[FloatArray] = []
-    latest, last = -pause, np.zeros((3, 3))
-    for stamp, position, measured in sent:
-        motion, step = np.array([position, measured, last[2]]), stamp - latest
-        unknown = np.isnan(measured)
-        if -pause < step <= 0:
-            motion[1, unknown] = last[1, unknown]
-            found.append(motion)
-            continue
-        if abs(step) >= pause:
-            motion[1, unknown], motion[2] = 0.0, 0.0
-        else:
-            moved = position - last[0]
-            moved[turning] -= 2.0 * np.pi * np.round(moved[turning] / (2.0 * np.pi))
-            motion[1, unknown] = (moved / (1e-9 * step))[unknown]
-            motion[2] += (1.0 - np.exp(-1e-9 * step / time_constant)) * (
-                (motion[1] - last[1]) / (1e-9 * step) - last[2]
-            )
-        latest, last = stamp, motion
-        found.append(motion)
-    return np.stack(found, axis=1)
-
-
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("velocities", [True, False])
 def test_each_message_follows_the_one_before_however_many_come_at_once(
-    seed: int, identification: Identification
+    velocities: bool, identification: Identification
 ) -> None:
-    random, urdf = np.random.default_rng(seed), (BAGS / "arm3.urdf").read_text(encoding="utf-8")
+    """A joint that turns around does not turn back at half a turn, and a new estimate disturbs no motion. Stamps that
+    come twice or late change no acceleration."""
+    urdf, random = (BAGS / "arm3.urdf").read_text(encoding="utf-8"), np.random.default_rng(1)
     endless = urdf.replace('<joint name="joint2" type="revolute">', '<joint name="joint2" type="continuous">')
     session = Session(endless, identification.session.configuration, "endless")
-    sent, stream = spoiled(random), EffortPredictor()
     estimate = replace(identification.estimate, parameters=session.model.nominal_parameters)
-    data = [message(stamp, JOINTS, position, velocity) for stamp, position, velocity in sent]
-    found, begin = list[FloatArray](), 0
-    while begin < len(data):
-        stream.set_model(session, estimate)  # a new estimate does not disturb the motion
-        end = begin + int(random.choice([1, 2, 5, 60]))
-        found += [predicted.motion for predicted in stream.predict(data[begin:end])]
-        begin = end
-    settings = session.signals
+    position, velocity, _ = exact()
+    turned = position.copy()
+    turned[:, 1] = np.remainder(turned[:, 1] - np.median(turned[:, 1]), 2.0 * np.pi)
+    assert np.max(np.abs(np.diff(turned[:, 1]))) > 6.0
+    speeds = velocity if velocities else velocity[:, :0]
+    sent, plain = (
+        [message(round(1e9 * time), JOINTS, *row) for time, *row in zip(TIMES, where, speeds, strict=True)]
+        for where in (turned, position)
+    )
+    expected = motion_of(stream_of(session, estimate).predict(plain))
+    for places in (np.arange(len(sent)), np.repeat(np.arange(len(sent)), 2), np.insert(np.arange(len(sent)), 500, 480)):
+        stream, found, ends = EffortPredictor(), list[Predicted](), np.sort(random.choice(len(places), 40))
+        for part in np.split(places, ends):
+            stream.set_model(session, estimate)
+            found += stream.predict([sent[place] for place in part])
+        motion = motion_of(found)
+        np.testing.assert_array_equal(motion[0], turned[places])
+        newest = np.maximum.accumulate(places)
+        np.testing.assert_allclose(motion[2], expected[2, newest], rtol=1e-9, atol=1e-9)
+        late = places < newest
+        np.testing.assert_allclose(motion[1, ~late], expected[1, places[~late]], rtol=1e-9, atol=1e-9)
+
+
+def test_the_acceleration_is_that_of_a_first_order_low_pass(identification: Identification) -> None:
+    """It is forgotten after a pause, and if the clock is set back so far."""
+    stream, times = stream_of(identification.session, identification.estimate), 0.002 * np.arange(100)
+    settings = identification.session.signals
     time_constant = 1.0 / (np.pi * SAMPLES_PER_CUTOFF_PERIOD * settings.cutoff)
-    expected = one_by_one(sent, settings.max_gap_ns, time_constant, 1)
-    assert 0.3e9 < settings.max_gap_ns < 3e9
-    scale = np.max(np.abs(expected), axis=(1, 2), keepdims=True)
-    np.testing.assert_allclose(np.concatenate(found, axis=1) / scale, expected / scale, atol=1e-12)
+    for begin in (10.0, 10.2 + 1e-9 * settings.max_gap_ns, 1.0):
+        sent = [message(round(1e9 * (begin + t)), JOINTS, np.full(3, t), np.full(3, 3.0 * t)) for t in times]
+        expected = 3.0 * (1.0 - np.exp(-times / time_constant))
+        np.testing.assert_allclose(
+            motion_of(stream.predict(sent))[2], expected[:, None] * np.ones(3), rtol=1e-6, atol=1e-9
+        )
 
 
 def test_a_clock_may_begin_at_zero(identification: Identification) -> None:
     """Of the first message no acceleration is known."""
-    stream = EffortPredictor()
-    stream.set_model(identification.session, identification.estimate)
+    stream = stream_of(identification.session, identification.estimate)
     first = next(stream.predict(messages(first=0.001)[:2]))
     np.testing.assert_array_equal(first.motion[2, 0], 0.0)
 
@@ -204,33 +191,12 @@ def test_another_robot_begins_anew(identification: Identification) -> None:
     urdf, sent = (BAGS / "arm3.urdf").read_text(encoding="utf-8"), messages()
     locked = Session(urdf, Configuration({"locked_joints": ["joint2"]}), "locked")
     estimate = replace(identification.estimate, parameters=locked.model.nominal_parameters)
-    streams = EffortPredictor(), EffortPredictor()
-    streams[0].set_model(identification.session, identification.estimate)
-    assert [*streams[0].predict(sent[:10])]
-    found = []
-    for stream in streams:
-        stream.set_model(locked, estimate)
-        found.append(np.concatenate([each.motion for each in stream.predict(sent[10:20])], axis=1))
+    used = stream_of(identification.session, identification.estimate)
+    assert [*used.predict(sent[:10])]
+    used.set_model(locked, estimate)
+    found = [motion_of(stream.predict(sent[10:20])) for stream in (used, stream_of(locked, estimate))]
     assert found[0].shape == (3, 10, 2)
     np.testing.assert_array_equal(*found)
-
-
-@pytest.mark.parametrize("velocities", [True, False])
-def test_stamps_twice_and_in_the_wrong_order_change_no_acceleration(
-    velocities: bool, identification: Identification
-) -> None:
-    def motion_of(sent: list[bytes]) -> FloatArray:
-        stream = EffortPredictor()
-        stream.set_model(identification.session, identification.estimate)
-        return np.concatenate([predicted.motion for predicted in stream.predict(sent)], axis=1)
-
-    sent = messages(velocities=velocities)
-    plain = motion_of(sent)
-    for places in (np.repeat(np.arange(len(sent)), 2), np.insert(np.arange(len(sent)), 500, [400, 499, 480])):
-        found = motion_of([sent[place] for place in places])
-        np.testing.assert_array_equal(found[0], plain[0, places])
-        np.testing.assert_array_equal(found[2], plain[2, np.maximum.accumulate(places)])
-        assert np.isfinite(found[1]).all()
 
 
 def test_what_cannot_be_used_costs_itself(identification: Identification) -> None:

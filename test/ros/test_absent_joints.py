@@ -98,7 +98,7 @@ def test_they_are_locked_when_all_had_the_time_to_be_heard(node: tuple[Superviso
     assert feed(supervisor) == 0
     supervisor.lock_absent_joints()
     assert joints(supervisor) == (*ARM, FINGER)
-    clock.now += 2.0 * module._PUBLISHERS_START
+    clock.now += 2.0 * module.PUBLISHERS_START
     supervisor.lock_absent_joints()
     assert joints(supervisor) == ARM
     assert any(f"no message names '{FINGER}': locked at zero" in line for line in said)
@@ -107,7 +107,7 @@ def test_they_are_locked_when_all_had_the_time_to_be_heard(node: tuple[Superviso
     (note,) = supervisor.worker.session.notes
     assert note in said, "what is saved has it, too"
     assert feed(supervisor) > 100
-    clock.now += 2.0 * module._PUBLISHERS_START
+    clock.now += 2.0 * module.PUBLISHERS_START
     supervisor.lock_absent_joints()
     assert supervisor.worker is not None
     assert supervisor.worker.session.identifier.counts.taken > 100, "all is settled: no rows are lost"
@@ -125,7 +125,7 @@ def test_they_stay_locked_after_a_crash(tmp_path: Path, clock: Clock) -> None:
             if not life:
                 feed(supervisor)
             supervisor.lock_absent_joints()
-            clock.now += 2.0 * module._PUBLISHERS_START
+            clock.now += 2.0 * module.PUBLISHERS_START
         if not life:
             kept = feed(supervisor)
             assert supervisor.checkpoints is not None
@@ -155,7 +155,7 @@ def test_they_move_again_when_they_are_heard(node: tuple[Supervisor, list[str]],
     for finger, expected in ((False, ARM), (True, (*ARM, FINGER))):
         supervisor.lock_absent_joints()
         feed(supervisor, finger)
-        clock.now += 2.0 * module._PUBLISHERS_START
+        clock.now += 2.0 * module.PUBLISHERS_START
         supervisor.lock_absent_joints()
         assert joints(supervisor) == expected
     assert feed(supervisor, finger=True) > 100

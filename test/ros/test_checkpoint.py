@@ -235,7 +235,7 @@ def test_the_next_session_waits_for_a_slow_disk(tmp_path: Path, monkeypatch: pyt
     assert node.worker is not None
     rows = fed(node.worker.session, 0, HALF).identifier.rows
     with monkeypatch.context() as slow:
-        slow.setattr(os, "fsync", lambda _: time.sleep(saving._PATIENCE))
+        slow.setattr(os, "fsync", lambda _: time.sleep(saving.PATIENCE))
         node.build(description("arm3"), "arm3.urdf")
     assert node.checkpoints is not None
     assert node.checkpoints.status.problem == ""

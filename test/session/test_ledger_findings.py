@@ -142,6 +142,8 @@ class Case:
 
 NOTHING = np.zeros(0, dtype=np.int64)
 CHOSEN = np.array([280, 422, 580, 689])
+LATE = np.array([560, 622, 690, 752])  # once enough have come to tell which efforts are usual
+TWO_OF_THREE = np.flatnonzero(np.arange(2 * MIDDLE) % 3)
 
 
 def wraps(joints: Joints) -> IntArray:
@@ -159,17 +161,15 @@ def glitches(joints: Joints) -> IntArray:
     return places
 
 
-def spikes(joints: Joints) -> IntArray:
-    joints.arrays["effort"][CHOSEN, 1] -= 3.0 * np.ptp(joints.arrays["effort"][:, 1])
-    return CHOSEN
+def spikes(places: IntArray, step: int = 1) -> Callable[[Joints], IntArray]:
+    """Of every ``step``-th message: 20 ms from the next one a spike and a contact cannot be told apart."""
 
+    def spoil(joints: Joints) -> IntArray:
+        joints.kept[np.arange(len(joints.kept)) % step > 0] = False
+        joints.arrays["effort"][places, 1] -= 3.0 * np.ptp(joints.arrays["effort"][:, 1])
+        return places
 
-def slow_spikes(joints: Joints) -> IntArray:
-    """Every second message, 20 ms from the next: too far apart to tell a spike from a contact."""
-    joints.kept[1::2] = False
-    places = np.array([560, 622, 690, 752])  # once enough have come to tell which efforts are usual
-    joints.arrays["effort"][places, 1] -= 3.0 * np.ptp(joints.arrays["effort"][:, 1])
-    return places
+    return spoil
 
 
 def early(joints: Joints) -> IntArray:
@@ -202,33 +202,17 @@ def another_sign(joints: Joints) -> IntArray:
     return NOTHING
 
 
-def mostly_nan(joints: Joints) -> IntArray:
-    places = np.flatnonzero(np.arange(len(joints.stamps)) % 3 > 0)
-    joints.arrays["effort"][places, 2] = NAN
-    return places
-
-
-def nan_throughout(joints: Joints) -> IntArray:
-    joints.arrays["effort"][:, 2] = NAN
-    return NOTHING
-
-
 def two_publishers(joints: Joints) -> IntArray:
     joints.phantom = True
     return np.arange(len(joints.stamps))
 
 
-def infinite_speeds(joints: Joints) -> IntArray:
-    joints.arrays["velocity"][CHOSEN, 2] = np.array([1.0, -1.0, 1.0, -1.0]) * np.inf
-    return CHOSEN
-
-
-def stuck(value: float) -> Callable[[Joints], IntArray]:
-    """One joint's effort, as long as it is recorded."""
+def last_joint(field: str, value: Any, places: IntArray | None = None) -> Callable[[Joints], IntArray]:
+    """Says this in so many messages, which are then to be refused, or throughout."""
 
     def spoil(joints: Joints) -> IntArray:
-        joints.arrays["effort"][:, 2] = value
-        return NOTHING
+        joints.arrays[field][slice(None) if places is None else places, 2] = value
+        return NOTHING if places is None else places
 
     return spoil
 
@@ -244,21 +228,26 @@ STUCK = "the effort of 'joint3' never changes though the joint moves"
 CASES = {
     "71-wraps": Case(spoil=wraps, noted=UNWRAPPED, sigmas=1e-3),
     "73-position-glitches": Case(spoil=glitches, refused="jumps, and back, faster than it can move"),
-    "74-effort-spikes": Case(spoil=spikes, refused="effort of 'joint2' is a spike"),
-    "74-slow-effort-spikes": Case(spoil=slow_spikes, refused=f"effort of 'joint2' {SPIKE_OR_CONTACT}"),
+    "74-effort-spikes": Case(spoil=spikes(CHOSEN), refused="effort of 'joint2' is a spike"),
+    "74-slow-effort-spikes": Case(spoil=spikes(LATE, 2), refused=f"effort of 'joint2' {SPIKE_OR_CONTACT}"),
     "75-stamps-ahead": Case(spoil=early, refused=EARLY),
     "76-clock-set-ahead": Case(spoil=clock_set(200_000_000), noted=CLOCK_SET, sigmas=1.0),
     "77-bursts": Case(spoil=in_bursts(20, 100_000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
-    "78-an-effort-is-constant": Case(spoil=stuck(-3.7), cause=STUCK, doubtful=True, sigmas=np.inf),
+    "78-an-effort-is-constant": Case(spoil=last_joint("effort", -3.7), cause=STUCK, doubtful=True, sigmas=np.inf),
     "82-names-exchanged": Case(
         spoil=renamed, cause="the names of joints 'joint2' and 'joint3' are swapped", doubtful=True, sigmas=np.inf
     ),
     "83-unit-in-mid-run": Case(spoil=another_sign, cause="the efforts of all joints have", doubtful=True),
-    "85-mostly-nan": Case(spoil=mostly_nan, refused="effort of 'joint3' missing or not finite"),
-    "85-nan-throughout": Case(spoil=nan_throughout, sigmas=np.inf),
+    "85-mostly-nan": Case(
+        spoil=last_joint("effort", NAN, TWO_OF_THREE), refused="effort of 'joint3' missing or not finite"
+    ),
+    "85-nan-throughout": Case(spoil=last_joint("effort", NAN), sigmas=np.inf),
     "85-two-publishers": Case(spoil=two_publishers, refused="the messages' names have the prefix 'left_'"),
     "87-five-per-batch": Case(spoil=in_bursts(5, 1000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
-    "95-infinite-speeds": Case(spoil=infinite_speeds, refused="velocity of 'joint3' not finite"),
+    "95-infinite-speeds": Case(
+        spoil=last_joint("velocity", np.inf * np.array([1.0, -1.0, 1.0, -1.0]), CHOSEN),
+        refused="velocity of 'joint3' not finite",
+    ),
 }
 
 

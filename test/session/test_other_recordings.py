@@ -83,6 +83,15 @@ def test_it_is_read_from_the_file_beside_the_model_and_without_it_effects_are_kn
     read, _ = prior_information(own)
     assert read is not None
     np.testing.assert_allclose(read.rows, here.rows, rtol=1e-9, atol=1e-9)
+    own.loaded = replace(own.loaded, posterior=replace(estimate.posterior, links=("a", "b", "c")))
+    of_others, _ = prior_information(own)
+    assert of_others is not None
+    assert len(of_others.changes) == 0, "a posterior of other links tells nothing"
+    own.loaded = replace(own.loaded, posterior=None)
+    other = replace(estimate.posterior, parameters=1.01 * estimate.posterior.parameters)
+    write_posterior(tmp_path / "posterior.npz", other)
+    with pytest.raises(InputError, match=r"posterior\.npz: belongs to another estimate than .*estimate\.json; keep"):
+        prior_information(own)
 
 
 def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session, estimate: Estimate) -> None:
@@ -103,21 +112,3 @@ def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session
     assert payload.share > 0.9, "without it other recordings would be trusted less until the links explain it"
     own.loaded = replace(own.loaded, posterior=None, source="elsewhere/estimate.json")
     assert not sure(*prior_information(own))
-
-
-def test_a_posterior_of_other_links_tells_nothing(live: Session, estimate: Estimate) -> None:
-    own = identified_session(live, estimate)
-    other = replace(estimate.posterior, links=("a", "b", "c"))
-    own.loaded = replace(own.loaded, posterior=other)
-    known, _ = prior_information(own)
-    assert known is not None
-    assert len(known.changes) == 0
-
-
-def test_a_posterior_of_another_run_is_refused(live: Session, estimate: Estimate, tmp_path: Path) -> None:
-    own = identified_session(live, estimate)
-    own.loaded = replace(own.loaded, posterior=None, source=str(tmp_path / "estimate.json"))
-    other = replace(estimate.posterior, parameters=1.01 * estimate.posterior.parameters)
-    write_posterior(tmp_path / "posterior.npz", other)
-    with pytest.raises(InputError, match=r"posterior\.npz: belongs to another estimate than .*estimate\.json; keep"):
-        prior_information(own)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from files.estimates import link_estimate
 from files.recordings import BAGS
 
@@ -25,38 +27,32 @@ def rod(mass: float, centre: float = 0.0) -> LinkEstimate:
     return replace(link_estimate("rod"), parameters=parameters)
 
 
-def said(*links: LinkEstimate, urdf: str = URDF) -> list[str]:
-    return list(impossible_links(urdf, "robot.urdf", links))
+INERTIA = '<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.01"/>'
+INERTIAL = f'<inertial><origin xyz="{{}}"/><mass value="20"/>{INERTIA}</inertial><collision>'
+MESH = '<mesh filename="package://nowhere/rod.stl"/>'
 
 
-def test_a_rod_of_lead_can_be_and_one_of_thrice_that_cannot() -> None:
-    assert said(rod(113.0)) == []
-    (sentence,) = said(rod(340.0))
-    assert "3.4e+04 kg/m^3" in sentence
-    assert "'rod'" in sentence
-
-
-def test_mass_outside_of_the_shape() -> None:
-    (sentence,) = said(rod(20.0, 1.5))
-    assert "outside" in sentence
-
-
-def test_a_shape_that_is_not_that_of_the_mass_in_the_urdf_says_nothing() -> None:
-    """As of a wrist that is drawn without its drive."""
-    inertia = '<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.01"/>'
-    for centre, count in (("0 0 0", 1), ("0 0 1.5", 0)):
-        inertial = f'<inertial><origin xyz="{centre}"/><mass value="20"/>{inertia}</inertial>'
-        assert len(said(rod(20.0, 1.5), urdf=URDF.replace("<collision>", f"{inertial}<collision>"))) == count
-
-
-def test_what_has_no_shape_or_counts_others_in_passes() -> None:
-    assert said(replace(rod(340.0), merged=("tool",))) == []
-    assert said(rod(340.0), urdf=URDF.replace("<collision>", "<!--").replace("</collision>", "-->")) == []
-    mesh = URDF.replace('<box size="0.1 0.1 1"/>', '<mesh filename="package://nowhere/rod.stl"/>')
-    assert said(rod(340.0), urdf=mesh) == []
+@pytest.mark.parametrize(
+    ("link", "old", "new", "expected"),
+    [
+        (rod(113.0), "", "", ""),  # of lead
+        (rod(340.0), "", "", "link 'rod' .* density of 3.4e[+]04 kg/m"),
+        (rod(20.0, 1.5), "", "", "outside"),
+        (rod(20.0, 1.5), "<collision>", INERTIAL.format("0 0 0"), "outside"),
+        # The shape is not that of the mass, as of a wrist that is drawn without its drive.
+        (rod(20.0, 1.5), "<collision>", INERTIAL.format("0 0 1.5"), ""),
+        (replace(rod(340.0), merged=("tool",)), "", "", ""),
+        (rod(340.0), "collision", "collided", ""),  # no shape
+        (rod(340.0), '<box size="0.1 0.1 1"/>', MESH, ""),
+    ],
+)
+def test_what_no_solid_of_the_shape_can_be_is_said(link: LinkEstimate, old: str, new: str, expected: str) -> None:
+    sentences = list(impossible_links(URDF.replace(old, new) if old else URDF, "robot.urdf", [link]))
+    assert len(sentences) == bool(expected)
+    assert re.search(expected, "".join(sentences))
 
 
 def test_the_links_of_the_shipped_arm_can_be() -> None:
-    text = (BAGS / "arm7.urdf").read_text()
     light = replace(link_estimate("link3"), parameters=1e-3 * rod(1000.0).parameters)
-    assert "outside" in said(light, urdf=text)[0], "a rod of a metre is no link of this arm"
+    (sentence,) = impossible_links((BAGS / "arm7.urdf").read_text(), "robot.urdf", [light])
+    assert "outside" in sentence, "a rod of a metre is no link of this arm"

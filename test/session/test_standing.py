@@ -27,46 +27,29 @@ def session(folder: Path, known: object = True, channel: str = "effort") -> Any:
     )
 
 
-@pytest.fixture
-def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a file that has a remainder."""
-    (tmp_path / files.POSTERIOR).touch()
-    monkeypatch.setattr("geomid_ros.session.gap.read_remainder", lambda _: KEPT)
-    return tmp_path
-
-
-def test_it_is_that_of_the_file_beside_the_estimate(beside: Path) -> None:
-    own = session(beside)
-    assert known_remainder_of(own) is KEPT
-    assert not own.review.settled
-
-
-def test_of_other_channels_it_is_not_used_and_that_is_told(beside: Path) -> None:
-    own = session(beside, channel="current")
-    assert known_remainder_of(own) is None
-    assert [note.count("effort") + note.count("current") for note in own.review.settled] == [2]
-
-
 @pytest.mark.parametrize(
-    ("exists", "told"), [(True, "has no remainder"), (False, "no posterior.npz in the same folder")]
+    ("stored", "change", "used", "told"),
+    [
+        (KEPT, {}, True, []),
+        (KEPT, {"channel": "current"}, False, ["its remainder is of effort, here current are measured"]),
+        (None, {}, False, ["has no remainder"]),
+        ("no file", {}, False, ["no posterior.npz in the same folder"]),
+        ("no file", {"known": None}, False, []),
+    ],
+    ids=["kept", "other channels", "none in the file", "no file", "a description alone"],
 )
-def test_that_there_is_none_is_told_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exists: bool, told: str
+def test_the_remainder_beside_a_model_is_used_or_its_lack_told_once(
+    stored: Any, change: dict[str, Any], used: bool, told: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if exists:
+    if stored != "no file":
         (tmp_path / files.POSTERIOR).touch()
-        monkeypatch.setattr("geomid_ros.session.gap.read_remainder", lambda _: None)
-    own = session(tmp_path)
-    assert known_remainder_of(own) is None
-    (note,) = own.review.settled
-    assert told in note
-    assert "evaluated without the stored remainder" in note
-
-
-def test_beside_a_description_alone_there_is_nothing_to_tell(tmp_path: Path) -> None:
-    own = session(tmp_path, known=None)
-    assert known_remainder_of(own) is None
-    assert not own.review.settled
+        monkeypatch.setattr("geomid_ros.session.gap.read_remainder", lambda _: stored)
+    own = session(tmp_path, **change)
+    assert known_remainder_of(own) is (KEPT if used else None)
+    assert len(own.review.settled) == len(told)
+    for note, part in zip(own.review.settled, told, strict=True):
+        assert part in note
+        assert "evaluated without the stored remainder" in note
 
 
 def test_of_a_robot_with_an_imu_the_total_mass_is_known_no_better_than_gravity() -> None:

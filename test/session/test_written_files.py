@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,16 +18,33 @@ from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import WrittenModel, fitted_model_of, with_shifted_parameters, write_model
+from geomid_ros.gap.result import GapResult
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session
+from geomid_ros.session.session import Session
 from geomid_ros.session.written_simulation import nominal_inertias, write_found
+from geomid_ros.types import FloatArray
 
 ARM = read_urdf(BAGS / "arm3.urdf")
 ROBOT = Robot(ARM)
 BODIES = {body.name: body.parameters for body in ROBOT.bodies}
+
+
+def session_of(folder: Path, urdf: str = ARM) -> Session:
+    """That of the model in a folder."""
+    return gap_session(urdf, Configuration({"model": str(folder / "estimate.json")}, "test"), "arm3.urdf")
+
+
+def found(session: Session, bodies: dict[str, FloatArray], coefficients: FloatArray, **others: Any) -> GapResult:
+    """Findings that end with these bodies and coefficients."""
+    inertias = np.array([bodies[name] for name in session.model.body_names])
+    result, names = gap_result("no gap", ROBOT.joint_names), session.model.body_names
+    return replace(result, bodies=names, inertias=inertias, coefficients=coefficients, **others)
+
+
 CUBE = pseudo_inertia.assemble(np.array(0.5), np.array([0.1, 0.0, 0.0]), 1e-3 * np.eye(3))
 
 
@@ -35,15 +53,10 @@ def test_a_link_is_heavier_and_lighter_in_each_file_by_what_it_is_in_the_model(t
     first, second, third = BODIES
     fitted = WrittenModel({**BODIES, second: 0.01 * BODIES[second], third: 1.5 * BODIES[third]}, ())
     write_model(tmp_path, MeasurementModel(ROBOT, ()), ARM, BODIES, (), GRAVITY, fitted={"urdf": fitted})
-    session = gap_session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
+    session = session_of(tmp_path)
     now = {**BODIES, second: 0.5 * BODIES[second], third: BODIES[third] + CUBE}
-    result = replace(
-        gap_result("no gap", ROBOT.joint_names),
-        bodies=session.model.body_names,
-        inertias=np.array([now[name] for name in session.model.body_names]),
-        coefficients=np.full(len(session.model.coefficients), np.nan),
-    )
-    write_found(tmp_path / "found", session, result)
+    coefficients = np.full(len(session.model.coefficients), np.nan)
+    write_found(tmp_path / "found", session, found(session, now, coefficients))
     file = EstimateFile.read(tmp_path / "found/estimate.json")
     written = fitted_model_of(file, "urdf")
     assert written is not None
@@ -70,16 +83,10 @@ def test_friction_that_a_file_cannot_say_is_folded_once(tmp_path: Path, fitted: 
         document = json.loads((tmp_path / "estimate.json").read_text())
         del document["handover"]
         (tmp_path / "estimate.json").write_text(json.dumps(document))
-    session = gap_session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
+    session = session_of(tmp_path)
     assert session.prior is not None
-    result = replace(
-        gap_result("no gap", ROBOT.joint_names),
-        bodies=session.model.body_names,
-        inertias=np.array([BODIES[name] for name in session.model.body_names]),
-        coefficients=session.prior[len(session.model.nominal_inertias) :],
-        folded=folded,
-    )
-    write_found(tmp_path / "found", session, result)
+    coefficients = session.prior[len(session.model.nominal_inertias) :]
+    write_found(tmp_path / "found", session, found(session, BODIES, coefficients, folded=folded))
     joint = ElementTree.parse(tmp_path / "found/identified.urdf").find("joint[@name='joint1']/dynamics")
     assert joint is not None
     assert float(joint.attrib["damping"]) == pytest.approx(2.4)
@@ -92,19 +99,18 @@ def test_a_model_with_a_payload_is_that_of_its_own_description_and_of_the_given_
     name = next(reversed(BODIES))
     write_model(tmp_path, MeasurementModel(ROBOT, ()), ARM, BODIES, [effect("payload", name, **PAYLOAD)], GRAVITY)
     urdf = read_urdf(tmp_path / "identified.urdf" if written else BAGS / "arm3.urdf")
-    session = gap_session(urdf, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
-    loaded = BODIES[name] + payload_parameters(PAYLOAD)
-    found = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
-    for link, own in (BODIES | {name: loaded}).items():
-        np.testing.assert_allclose(found[link], own, rtol=1e-12, err_msg=link)
+    session = session_of(tmp_path, urdf)
+    nominal = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
+    for link, own in (BODIES | {name: BODIES[name] + payload_parameters(PAYLOAD)}).items():
+        np.testing.assert_allclose(nominal[link], own, rtol=1e-12, err_msg=link)
 
 
 def test_a_payload_of_a_file_is_in_the_link_that_carries_it() -> None:
     name = next(iter(BODIES))
     carried = WrittenModel(BODIES, (effect("payload", name, **PAYLOAD), effect("effort_offset", "joint1", offset=0.1)))
-    found = carried.with_payloads_in_links
-    np.testing.assert_array_equal(found.inertias[name], BODIES[name] + payload_parameters(PAYLOAD))
-    assert found.effects == carried.effects[1:]
+    merged = carried.with_payloads_in_links
+    np.testing.assert_array_equal(merged.inertias[name], BODIES[name] + payload_parameters(PAYLOAD))
+    assert merged.effects == carried.effects[1:]
 
 
 def test_friction_that_shrinks_is_never_less_than_nothing() -> None:

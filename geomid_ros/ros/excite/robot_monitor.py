@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import WriterError
 from sensor_msgs.msg import JointState as JointStateMessage
@@ -23,12 +22,12 @@ from std_msgs.msg import String
 from geomid_ros.errors import GeomidError
 from geomid_ros.excitation.limits import JointState
 from geomid_ros.live.inbox import MOST_AT_ONCE
-from geomid_ros.live.threads import start_daemon
+from geomid_ros.ros.inputs import DATA
 from geomid_ros.ros.outputs import latched
+from geomid_ros.ros.startup import POLL
 from geomid_ros.signals.messages import JOINT_STATES, parse
 from geomid_ros.simulation.bag import BagWriter
 
-_LOOK = 0.003  # [s] longest wait for a message
 _DESCRIPTION = "robot_description"
 _WRENCH, _STATE, _TEXT = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
 T = TypeVar("T")
@@ -57,26 +56,22 @@ class Recorder:
         except (OSError, WriterError) as error:
             raise GeomidError(f"{path}: cannot be written ({error})") from error
         self._topics = {topic: self._bag.topic(topic, kind) for topic, kind in topics.items()}
-        self._waiting: SimpleQueue[tuple[str, int, bytes] | None] = SimpleQueue()
-        self._thread = start_daemon("recorder", self._work)
+        self._thread = ThreadPoolExecutor(1)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._waiting.put(None)
-        self._thread.join()
+        self._thread.submit(self._do, self._bag.close)
+        self._thread.shutdown()
 
     def write(self, topic: str, data: bytes) -> None:
         """Record a message as received now."""
-        self._waiting.put((topic, time.time_ns(), data))
+        self._thread.submit(self._do, self._bag.write, self._topics[topic], time.time_ns(), data)
 
-    def _work(self) -> None:
+    def _do(self, act: Callable[..., object], *arguments: Any) -> None:
         try:
-            while (message := self._waiting.get()) is not None:
-                topic, stamp, data = message
-                self._bag.write(self._topics[topic], stamp, data)
-            self._bag.close()
+            act(*arguments)
         except OSError as error:
             self.problem = f"{self.path}: cannot be written ({error.strerror or error})"
 
@@ -92,9 +87,7 @@ class RobotMonitor:
             topic: of the joint states.
             interrupted: returns True if the user interrupts.
         """
-        self._joints = joints
-        self._interrupted = interrupted
-        self._node = node
+        self._node, self._joints, self._interrupted = node, joints, interrupted
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
         self._new: list[JointState] = []
@@ -105,15 +98,14 @@ class RobotMonitor:
         """Positions of all received joints by name; not finite if unknown."""
         self.state: JointState | None = None
         """Latest joint state."""
-        self._qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._states = node.create_subscription(JointStateMessage, topic, self._take, self._qos, raw=True)
+        self._states = node.create_subscription(JointStateMessage, topic, self._take, DATA, raw=True)
         self._descriptions = node.create_subscription(String, _DESCRIPTION, self._describe, latched())
         self.topic: str = self._states.topic_name
         """Full name of the joint states' topic."""
 
     def poll(self) -> list[JointState]:
         """Return the joint states since the last call, or within a moment."""
-        self._executor.spin_once(timeout_sec=_LOOK)
+        self._executor.spin_once(timeout_sec=POLL)
         for _ in range(MOST_AT_ONCE):
             with self._states.handle:
                 taken = self._states.handle.take_message(JointStateMessage, True)
@@ -149,7 +141,7 @@ class RobotMonitor:
             recorder.write(description, serialize_message(String(data=urdf)))
             for topic in wrenches:
                 write = partial(recorder.write, topic)
-                self._node.create_subscription(WrenchStamped, topic, write, self._qos, raw=True)
+                self._node.create_subscription(WrenchStamped, topic, write, DATA, raw=True)
             self._recorder = recorder
             try:
                 yield recorder

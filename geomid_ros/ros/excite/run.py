@@ -20,18 +20,12 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.ros.controller import TrajectoryController, find_controller
 from geomid_ros.ros.excite.robot_monitor import Recorder, RobotMonitor
 from geomid_ros.ros.startup import PATIENCE, running_node
-from geomid_ros.session.collision_scene import (
-    COLLISIONS_NOT_CHECKED,
-    collision_model,
-    excluded_pairs_note,
-    without_touching,
-)
+from geomid_ros.session.collision_scene import collision_model, not_watched, without_touching
 from geomid_ros.session.options import RunOptions
 from geomid_ros.types import FloatArray
 
-_LISTENING = 0.5  # [s] to measure the rate of joint states
 _SILENCE, _PERIODS = 0.04, 3.0  # [s] and periods without joint states
-_SETTLING = 0.5  # [s] monitored after a motion
+_SETTLING = 0.5  # [s] monitored before a motion, for the rate of joint states, and after it
 _RESTING, _LATELY = 0.02, 0.1  # [rad/s, m/s] below which a joint is at rest, over the last [s]
 
 
@@ -74,9 +68,8 @@ def prepared_run(order: MotionRequest) -> Iterator[MotionRun]:
         InputError: the motion does not fit the robot, or something required is missing.
     """
     signals: list[int] = []
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    for number in before:
-        signal.signal(number, lambda number, _: signals.append(number))
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda number, _: signals.append(number)) for number in numbers}
     try:
         with running_node("geomid_excite") as node:
             yield MotionRun(node, order, lambda: bool(signals))
@@ -89,16 +82,20 @@ class MotionRun:
     """Run of one motion on one robot; see :func:`prepared_run`."""
 
     def __init__(self, node: Node, order: MotionRequest, interrupted: Callable[[], bool]) -> None:
-        self._node = node
-        self._order = order
-        self._interrupted = interrupted
+        self._node, self._order, self._interrupted = node, order, interrupted
         self._robot = RobotMonitor(node, order.motion.joints, order.options.joint_topic, interrupted)
         self._urdf, source = order.urdf or self._description()
         robot = Robot(self._urdf, source=source)
         self._limits = RobotLimits.of(robot, order.motion.joints, order.source)
         motion = order.motion.at_speed(order.speed)
         check_motion(motion, self._limits, order.source)
-        self.plan = self._planned(robot, motion, self._heard())
+        present = self._heard().position
+        if outside := self._limits.out_of_range(present):
+            raise InputError(f"{outside} in the URDF: move it back first")
+        silence = order.options.silence or max(_SILENCE, _PERIODS * self._robot.period(_SETTLING))
+        postures, notes = self._postures(robot, present)
+        approach = trajectory_through(motion.joints, postures, self._limits.speeds)
+        self.plan = Plan(approach, motion, self._limits, silence, notes)
         self._stopping = stopping_accelerations(order.motion, self._limits.speeds)
 
     def _description(self) -> tuple[str, str]:
@@ -119,15 +116,6 @@ class MotionRun:
         problem = f"no data of {', '.join(missing)}" if missing else "no message has finite positions of all joints"
         raise InputError(f"{topic}: {problem}; {self._order.source} moves {', '.join(self._order.motion.joints)}")
 
-    def _planned(self, robot: Robot, motion: Trajectory, state: JointState) -> Plan:
-        if outside := self._limits.out_of_range(state.position):
-            raise InputError(f"{outside} in the URDF: move it back first")
-        silence = self._order.options.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
-        postures, notes = self._postures(robot, state.position)
-        return Plan(
-            trajectory_through(motion.joints, postures, self._limits.speeds), motion, self._limits, silence, notes
-        )
-
     def _postures(self, robot: Robot, present: FloatArray) -> tuple[list[FloatArray], tuple[str, ...]]:
         """Return the postures of the approach from the ``present`` one to the start, and sentences on the checks.
 
@@ -138,14 +126,13 @@ class MotionRun:
         collision = collision_model(options, robot, Path(robot.source))
         received = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
         passage = ApproachPath(robot, motion.joints, np.nan_to_num(received), collision)
-        unwatched = without_touching(collision, passage.all_positions(start[None])[0]) if collision else ()
+        unwatched = without_touching(collision, passage.all_positions(start[None])[0])
         for label, position in (("at the present pose", present), ("at the start of the motion", start)):
             if touching := passage.overlap(position):
                 raise InputError(f"{label}, {touching}; move it away first, or correct --avoid")
         passage.require_clearance(np.array([present, start]), options.clearance)
         passage.check(motion, self._order.source)
-        notes = ["" if collision else COLLISIONS_NOT_CHECKED, excluded_pairs_note(unwatched)]
-        return [present, *passage.find_postures(present, start)], tuple(filter(None, notes))
+        return [present, *passage.find_postures(present, start)], tuple(not_watched(collision, unwatched))
 
     def execute(self, bag: Path, say: Callable[[str], None]) -> None:
         """Move, and record.
@@ -177,35 +164,27 @@ class MotionRun:
             motion, self._limits, tolerance=self._order.options.tolerance, silence=self.plan.silence, begin=begin
         )
         controller.send(motion)
+
+        def stop() -> Trajectory:
+            way = stopping_trajectory(motion.joints, *watch.present_state, self._stopping)
+            controller.send(way)
+            return way
+
+        problem, before = "", time.monotonic()
         try:
-            problem = self._watched(watch, motion.duration + _SETTLING, controller, recorder)
+            while watch.elapsed < motion.duration + _SETTLING and not problem:
+                states, now = self._robot.poll(), time.monotonic()
+                deviation = watch.check(states, now - before)
+                before, interruption = now, "interrupted" if self._interrupted() else ""
+                problem = interruption or controller.problem or deviation or recorder.problem
         except BaseException:
-            controller.send(self._to_rest(watch))
+            stop()
             raise
         if problem:
-            way = self._to_rest(watch)
-            controller.send(way)
+            way = stop()
             say(f"stopping: {problem}")
             ending = self._ending(way.duration + _SETTLING)
             raise GeomidError(f"the motion was stopped: {problem}. {ending}. Recorded until then: {recorder.path}")
-
-    def _watched(
-        self, watch: MotionMonitor, duration: float, controller: TrajectoryController, recorder: Recorder
-    ) -> str:
-        """Return the reason to stop the robot; empty once the motion is over."""
-        before = time.monotonic()
-        while watch.elapsed < duration:
-            states = self._robot.poll()
-            now = time.monotonic()
-            deviation = watch.check(states, now - before)
-            before = now
-            interruption = "interrupted" if self._interrupted() else ""
-            if problem := interruption or controller.problem or deviation or recorder.problem:
-                return problem
-        return ""
-
-    def _to_rest(self, watch: MotionMonitor) -> Trajectory:
-        return stopping_trajectory(self._order.motion.joints, *watch.present_state, self._stopping)
 
     def _ending(self, seconds: float) -> str:
         """Return a sentence on whether the robot is at rest after some seconds."""
