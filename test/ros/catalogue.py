@@ -27,6 +27,7 @@ _changes = "test_catalogue_wrench.py::test_a_sensor_that_changes_is_named[{}]".f
 _solver = "test_catalogue_failures.py::test_a_solver_that_fails_keeps_the_last_estimate[{}]".format
 _exception = "test_catalogue_failures.py::test_an_exception_costs_the_messages_it_meets[{}]".format
 _console = "test_catalogue_console.py::test_{}".format
+_supervisor = "test_supervisor.py::test_{}".format
 
 
 def _bags(name: str) -> str:
@@ -67,7 +68,7 @@ CATALOGUE = (
     Fault(13, "no names", "R E", (_message("13-no-names"),)),
     Fault(14, "two publishers of a topic", "dropped, E naming both", (_second("14-two-publishers"),)),
     Fault(15, "a second stream with prefixed names", "R W; dropped while there are two publishers, E", (_message("15-prefixed-names"), _second("15-a-phantom"))),
-    Fault(16, "left and right arm in separate messages", "dropped, E; merged with `merge_joint_states`", (_second("16-an-arm-of-its-own"), "test_catalogue_merging.py::test_16_two_arms_are_put_together")),
+    Fault(16, "left and right arm in separate messages", "dropped, E; merged with `merge_joint_states`", (_second("16-an-arm-of-its-own"), "test_catalogue_streams.py::test_16_two_arms_are_put_together")),
     Fault(17, "a publisher replaced by another", "taken", (f"{_STREAMS}17_a_publisher_that_is_replaced",)),
     Fault(18, "stamp zero", "R W", (_message("18-stamp-0"),)),
     Fault(19, "the same stamp again", "R W", (_message("19-duplicate"),)),
@@ -133,12 +134,12 @@ CATALOGUE = (
     Fault(83, "effort unit or sign that changes during the run at all joints", "E", (_both("83-unit-in-mid-run"),)),
     Fault(85, "two thirds of a joint's efforts NaN; two publishers in a bag; a joint NaN throughout", "the message counts are printed and written, W", (_both("85-mostly-nan"), _both("85-two-publishers"), _both("85-nan-throughout"))),
     Fault(87, "messages in pairs or batches (USB, EtherCAT)", "the period from the span of stamps, E", (_both("87-five-per-batch"),)),
-    Fault(88, "`merge_joint_states` with a slow gripper", "the rate of the fastest part; positions of slow parts are interpolated, their efforts left out, W", ("test_catalogue_merging.py::test_88_a_slow_gripper_does_not_slow_down_the_arm",)),
-    Fault(89, "one part of a merged robot dies", "W naming its joints", (_console("89_a_part_that_falls_silent_is_named"),)),
-    Fault(90, "messages are accepted, but yield no rows", "W asking to check the clocks of the topics", (_console("90_messages_of_which_nothing_comes_are_a_warning"),)),
+    Fault(88, "`merge_joint_states` with a slow gripper", "the rate of the fastest part; positions of slow parts are interpolated, their efforts left out, W", ("test_catalogue_streams.py::test_88_a_slow_gripper_does_not_slow_down_the_arm",)),
+    Fault(89, "one part of a merged robot dies", "W naming its joints", (f"{_STREAMS}89_a_part_that_falls_silent_is_named",)),
+    Fault(90, "messages are accepted, but yield no rows", "W asking to check the clocks of the topics", ("test_diagnostics.py::test_90_messages_of_which_nothing_comes_are_a_warning",)),
     Fault(91, "the solving process is killed", "restarted, after increasing pauses if it ends without a result, W; no message is lost", (_SOLVING + "91_a_node_whose_process_is_killed_goes_on", _SOLVING + "a_process_that_is_killed_is_replaced", _SOLVING + "one_that_ends_in_every_solve_is_started_after_pauses")),
-    Fault(92, "slow solves now and then", "each that hangs is ended and begun anew", (_console("92_what_hung_is_told_until_there_is_an_estimate"),)),
-    Fault(93, "a mimic joint that is not in the messages", "follows its master, whose effort drives both", ("../model/test_mimic.py::test_the_masters_efforts_make_the_energy_grow", _console("93_a_mimic_joint_is_not_waited_for"))),
+    Fault(92, "slow solves now and then", "each that hangs is ended and begun anew", (_supervisor("92_what_hung_is_told_until_there_is_an_estimate"),)),
+    Fault(93, "a mimic joint that is not in the messages", "follows its master, whose effort drives both", ("../model/test_mimic.py::test_the_masters_efforts_make_the_energy_grow", _supervisor("they_are_locked_when_all_had_the_time_to_be_heard"))),
     Fault(94, "tf_prefix", "R E naming the prefix", (_message("15-prefixed-names"), _REFUSALS)),
     Fault(95, "an infinite speed", "R W", (_message("95-infinite-speed"), _both("95-infinite-speeds"))),
     Fault(96, "thousands of messages at once after silence", "taken", (f"{_FAILURES}96_a_burst_of_thousands_after_silence_is_taken",)),
@@ -146,10 +147,10 @@ CATALOGUE = (
     Fault(98, "a bag without CRCs", "a note says that corruption cannot be detected", (_bags("it_is_said_that_nothing_is_checked"),)),
     Fault(99, "ROS 1 bags; lz4; a folder of bags", "X with the command that converts; read; read", (_bags("the_command_for_a_bag_of_ros_1_makes_one_that_is_read"), _bags("lz4_is_read"), _bags("a_folder_of_bags_is_all_of_them"))),
     Fault(100, "files of a split bag listed in another order", "read by time", (_bags("files_listed_in_another_order_are_read_by_time"),)),
-    Fault(101, "`~/save` under load", "response within five seconds, with the last estimate or the reason why not", (_FAILURES + "101_saving_under_load_is_answered", _console("101_what_takes_too_long_is_said"))),
+    Fault(101, "`~/save` under load", "response within five seconds, with the last estimate or the reason why not", (_FAILURES + "101_saving_under_load_is_answered", _supervisor("101_what_takes_too_long_is_said"))),
     Fault(102, "too little memory", "X in one sentence", (_MISTAKES + "too_little_memory_is_said_in_one_sentence",)),
     Fault(103, "names with terminal, HTML or formula markup", "shown as plain text", (_NAMES + "markup_is_shown_as_it_is", _NAMES + "html_is_text_in_a_report")),
-    Fault(104, "control characters and line ends in names and frames", "shown as escape codes, in terminal, log and diagnostics", (_NAMES + "what_cannot_be_printed_is_shown_as_codes", _console("108_104_all_messages_refused_is_said_on_the_console"), _console("104_a_frame_id_is_printable"))),
+    Fault(104, "control characters and line ends in names and frames", "shown as escape codes, in terminal, log and diagnostics", (_NAMES + "what_cannot_be_printed_is_shown_as_codes", _console("108_104_all_messages_refused_is_said_on_the_console"))),
     Fault(105, "a pipe or a device in place of a file", "X naming it", (_REFUSALS,)),
     Fault(106, "a bag that unpacks to hundreds of times its size", "X naming it, before the disk is full", (_bags("what_would_fill_the_disk_is_refused_before"), _bags("a_packed_file_that_unpacks_to_too_much_is_refused"))),
     Fault(107, "names of 20,000 characters", "accepted, at the cost of their length", (_NAMES + "a_name_costs_no_more_than_its_length",)),
