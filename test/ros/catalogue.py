@@ -35,7 +35,7 @@ def _bags(name: str) -> str:
 
 
 _both = "../session/test_ledger_findings.py::test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node[{}]".format
-_disk = "test_catalogue_failures.py::test_a_disk_that_cannot_be_written_stops_nothing[{}]".format
+_service = "test_catalogue_failures.py::test_what_fails_is_answered_and_stops_nothing[{}]".format
 _BAGS = "../files/test_bag_faults.py"
 _NAMES = "../commands/test_names.py::test_"
 _MISTAKES = "../commands/test_mistakes.py::test_"
@@ -83,8 +83,8 @@ CATALOGUE = (
     Fault(28, "paused simulation", "R W", (_again("28-paused-simulation"),)),
     Fault(29, "simulated time without `/clock`", "W; data are used with their own stamps", (f"{_GRAPH}29_simulated_time_without_a_clock",)),
     Fault(30, "messages lost on the way", "counted, W", (f"{_GRAPH}30_messages_that_are_lost_on_the_way_are_counted",)),
-    Fault(31, "queue overflow", "W; messages are dropped while 10,000 messages or 100 MB wait", (f"{_FAILURES}31_what_does_not_fit_into_the_queue_is_dropped",)),
-    Fault(32, "bursts", "taken", (f"{_STREAMS}32_a_burst_is_taken",)),
+    Fault(31, "queue overflow", "W; messages are dropped while 10,000 messages or 100 MB wait", ("test_worker.py::test_what_waits_is_bounded_by_number_and_bytes",)),
+    Fault(32, "bursts", "taken", (f"{_FAILURES}96_a_burst_of_thousands_after_silence_is_taken",)),
     Fault(33, "QoS mismatch: durability", "E naming policy and publisher", (f"{_GRAPH}33_a_description_that_is_not_kept_for_those_who_come_late",)),
     Fault(34, "QoS mismatch: reliability", "E naming policy and publisher", (f"{_GRAPH}34_joint_states_less_reliable_than_is_asked_for",)),
     Fault(35, "wrench with its sign reversed", "E within two seconds of motion; none of its rows is used, earlier ones included, until `~/reset`", (_declared("35-sign-flipped"),)),
@@ -103,9 +103,9 @@ CATALOGUE = (
     Fault(48, "rank deficient", "the diagnostics list the links whose masses are identified only in combination", (f"{_STREAMS}48_a_motion_of_one_joint_leaves_links_untold_and_names_them",)),
     Fault(49, "solver not converged, not finite, or failing", "W, E if it fails; the last estimate is kept", (_solver("49-not-converged"), _solver("49-not-a-number"), _solver("49-solver-fails"))),
     Fault(50, "solver timeout", "W; the last estimate is kept", (_solver("50-solver-over-its-time"),)),
-    Fault(51, "exception in a callback", "the message is dropped, E", (_exception("51-callback"),)),
-    Fault(52, "exception in a thread", "the message is dropped, or its rows rejected, E", (_exception("52-worker"), f"{_FAILURES}52_rows_that_cannot_be_made_are_counted")),
-    Fault(53, "a solve or the processing of messages hangs", "ended and begun anew, the processing of messages at most three times until `~/reset`; E until there is an estimate again", (f"{_FAILURES}53_a_solver_that_hangs_is_replaced", f"{_FAILURES}53_an_intake_that_hangs_is_replaced_three_times")),
+    Fault(51, "exception in a callback", "the message is dropped, E", (f"{_FAILURES}what_fails_is_answered_and_stops_nothing",)),
+    Fault(52, "exception in a thread", "the message is dropped, or its rows rejected, E", (_exception("52-worker"), _exception("52-rows"))),
+    Fault(53, "a solve or the processing of messages hangs", "ended and begun anew, the processing of messages at most three times until `~/reset`; E until there is an estimate again", (f"{_FAILURES}53_a_solver_that_hangs_is_replaced", f"{_FAILURES}53_an_intake_that_hangs_is_replaced_so_many_times")),
     Fault(54, "shutdown from a callback", "ends within two seconds with status 0, the last estimate saved", (f"{_FAILURES}54_a_shutdown_from_a_callback_ends_the_node_well",)),
     Fault(55, "Ctrl-C while solving", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate",)),
     Fault(56, "Ctrl-C twice", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate",)),
@@ -116,12 +116,12 @@ CATALOGUE = (
     Fault(61, "bag of a wrong type", "X naming file", (_BAGS,)),
     Fault(62, "crafted bag", "X naming file", (_BAGS,)),
     Fault(63, "empty bag", "X naming file", (_BAGS,)),
-    Fault(64, "disk full", "E; estimating goes on", (_disk("64-disk-full"),)),
-    Fault(65, "disk read-only", "E; estimating goes on", (_disk("65-read-only"),)),
-    Fault(66, "folder unwritable", "E; estimating goes on", (_disk("66-unwritable"),)),
-    Fault(67, "disk slow", "E; estimating goes on", (f"{_FAILURES}67_a_slow_disk_keeps_nobody_waiting",)),
+    Fault(64, "disk full", "E; estimating goes on", (_service("64-disk-full"),)),
+    Fault(65, "disk read-only", "E; estimating goes on", (_service("65-read-only"),)),
+    Fault(66, "folder unwritable", "E; estimating goes on", (_service("66-unwritable"),)),
+    Fault(67, "disk slow", "E; estimating goes on", (_service("67-disk-slow"),)),
     Fault(68, "a service call in the wrong state", "the response says what is missing", ("test_services.py::test_services_without_a_robot_say_what_is_missing",)),
-    Fault(69, "exception in a service", "the response contains it, E", (f"{_FAILURES}69_an_exception_in_a_service_is_answered",)),
+    Fault(69, "exception in a service", "the response contains it, E", (_service("69-service-fails"),)),
     Fault(70, "unknown or ill-typed parameter", "X naming it at startup; refused later", ("test_parameters.py::test_what_cannot_be_used_is_refused_with_one_message", "test_parameters.py::test_parameters_are_described")),
     Fault(71, "a driver that wraps positions at a whole turn", "unwrapped, W", (_both("71-wraps"),)),
     Fault(73, "positions that jump for up to three messages (encoder glitches)", "R W", (_both("73-position-glitches"),)),
@@ -147,7 +147,7 @@ CATALOGUE = (
     Fault(98, "a bag without CRCs", "a note says that corruption cannot be detected", (_bags("it_is_said_that_nothing_is_checked"),)),
     Fault(99, "ROS 1 bags; lz4; a folder of bags", "X with the command that converts; read; read", (_bags("the_command_for_a_bag_of_ros_1_makes_one_that_is_read"), _bags("lz4_is_read"), _bags("a_folder_of_bags_is_all_of_them"))),
     Fault(100, "files of a split bag listed in another order", "read by time", (_bags("files_listed_in_another_order_are_read_by_time"),)),
-    Fault(101, "`~/save` under load", "response within five seconds, with the last estimate or the reason why not", (_FAILURES + "101_saving_under_load_is_answered", _supervisor("101_what_takes_too_long_is_said"))),
+    Fault(101, "`~/save` under load", "response within five seconds, with the last estimate or the reason why not", (_service("101-solver-busy"), _supervisor("101_what_takes_too_long_is_said"))),
     Fault(102, "too little memory", "X in one sentence", (_MISTAKES + "too_little_memory_is_said_in_one_sentence",)),
     Fault(103, "names with terminal, HTML or formula markup", "shown as plain text", (_NAMES + "markup_is_shown_as_it_is", _NAMES + "html_is_text_in_a_report")),
     Fault(104, "control characters and line ends in names and frames", "shown as escape codes, in terminal, log and diagnostics", (_NAMES + "what_cannot_be_printed_is_shown_as_codes", _console("108_104_all_messages_refused_is_said_on_the_console"))),

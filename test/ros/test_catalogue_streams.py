@@ -85,19 +85,6 @@ def test_what_comes_again_is_waited_out(name: str, direct: Direct) -> None:
     direct.assert_same_as_twin()
 
 
-def test_32_a_burst_is_taken(rig: Rig) -> None:
-    """As fast as it can be published; before, a pause as long as the messages of the burst were held back."""
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.stage.observer.spin(0.5)
-    begin = len(rig.arrays)
-    rig.send(after, pause=0.0)
-    rig.twin.feed(after)
-    values = rig.settled(begin)
-    assert not [key for key in values if key.endswith(" lost")]
-    rig.assert_same_as_twin()
-
-
 def of_one_robot(duration: float, begin: float, swing: Sequence[float]) -> list[Recorded]:
     """Of the small arm with other bodies: each joint swings so far."""
     arm = InMotion(
