@@ -22,8 +22,6 @@ _stream = "test_catalogue_messages.py::test_a_bad_stream_is_named_and_leaves_no_
 _again = "test_catalogue_streams.py::test_what_comes_again_is_waited_out[{}]".format
 _jump = "test_catalogue_streams.py::test_time_that_jumps_begins_a_segment_and_costs_nothing[{}]".format
 _second = "test_catalogue_streams.py::test_a_second_publisher_is_named_and_believed_no_more_than_the_first[{}]".format
-_declared = "test_catalogue_wrench.py::test_a_sensor_that_is_declared_wrongly_is_named[{}]".format
-_changes = "test_catalogue_wrench.py::test_a_sensor_that_changes_is_named[{}]".format
 _solver = "test_catalogue_failures.py::test_a_solver_that_fails_keeps_the_last_estimate[{}]".format
 _exception = "test_catalogue_failures.py::test_an_exception_costs_the_messages_it_meets[{}]".format
 _console = "test_catalogue_console.py::test_{}".format
@@ -87,12 +85,12 @@ CATALOGUE = (
     Fault(32, "bursts", "taken", (f"{_FAILURES}96_a_burst_of_thousands_after_silence_is_taken",)),
     Fault(33, "QoS mismatch: durability", "E naming policy and publisher", (f"{_GRAPH}33_a_description_that_is_not_kept_for_those_who_come_late",)),
     Fault(34, "QoS mismatch: reliability", "E naming policy and publisher", (f"{_GRAPH}34_joint_states_less_reliable_than_is_asked_for",)),
-    Fault(35, "wrench with its sign reversed", "E within two seconds of motion; none of its rows is used, earlier ones included, until `~/reset`", (_declared("35-sign-flipped"),)),
-    Fault(36, "wrench in another frame", "R W if the message says so; otherwise as 35", (_message("36-wrong-frame"), _declared("36-another-frame"))),
+    Fault(35, "wrench with its sign reversed", "E within two seconds of motion; none of its rows is used, earlier ones included, until `~/reset`", ("test_catalogue_wrench.py::test_35_a_sensor_that_is_declared_wrongly_is_named",)),
+    Fault(36, "wrench in another frame", "R W if the message says so; otherwise as 35", (_message("36-wrong-frame"), "../checks/test_wrenches.py::test_turned_axes_are_named")),
     Fault(37, "wrench without a frame", "assumed to be in the declared frame", (_stream("37-no-frame"),)),
-    Fault(38, "wrench in another unit", "the same as 35", (_declared("38-millinewtons"),)),
-    Fault(39, "wrench tared during the run", "E once the normal level is known; its rows are left out from just before the change, until it is as before or `~/reset`; the rows are used if it may be a load: joints or other sensors show a change, too, or no joint is monitored", (_changes("39-tared"),)),
-    Fault(40, "wrench drifting", "as 39; drift below the noise stays in the estimate, which equals that of a run whose sensor stopped just before the gap", (_changes("40-drifting"),)),
+    Fault(38, "wrench in another unit", "the same as 35", ("../checks/test_wrenches.py::test_another_unit_of_all",)),
+    Fault(39, "wrench tared during the run", "E once the normal level is known; its rows are left out from just before the change, until it is as before or `~/reset`; the rows are used if it may be a load: joints or other sensors show a change, too, or no joint is monitored", ("test_worker_wrenches.py::test_only_the_sensor_that_changed_loses_its_rows_and_only_until_it_is_as_before",)),
+    Fault(40, "wrench drifting", "as 39; drift below the noise stays in the estimate, which equals that of a run whose sensor stopped just before the gap", ("test_catalogue_wrench.py::test_40_a_sensor_that_drifts_is_named",)),
     Fault(41, "effort saturated", "R W", ("../signals/test_saturation.py::test_a_curve_that_is_cut_off_is_refused_where_it_is",)),
     Fault(42, "stamps advancing over frozen numbers", "R W", (_message("42-frozen"),)),
     Fault(43, "description late", "dropped, W", (f"{_DESCRIPTION}a_late_and_at_first_unreadable_description",)),
