@@ -63,18 +63,6 @@ def test_a_player_that_is_told_to_end(number: signal.Signals, stage: Stage) -> N
     assert "Interrupted." in player.output
 
 
-def test_idle_nodes(stage: Stage, tmp_path: Path) -> None:
-    """Without a robot, without data, or without a folder there is nothing to save."""
-    out = tmp_path / "out"
-    waiting = stage.node({"output_folder": str(out)}, "-r", "__ns:=/a", name="a/geomid")
-    silent = stage.node(
-        {"output_folder": str(out), "robot_description": description("arm3")}, "-r", "__ns:=/b", name="b/geomid"
-    )
-    assert waiting.end(signal.SIGTERM) == 0
-    assert silent.end(signal.SIGINT) == 0
-    assert not out.exists()
-
-
 def test_a_node_told_to_end_while_it_starts(stage: Stage) -> None:
     """Whatever it was doing: no traceback, and no core dump."""
     node = stage.node(ready=False, fresh=True)
