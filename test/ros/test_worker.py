@@ -197,20 +197,6 @@ def test_an_error_while_publishing_costs_no_thread(busy: Watched) -> None:
     assert busy.worker.status(active=True).warnings == ()
 
 
-def test_an_error_of_the_solver_keeps_the_last_estimate(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
-    quiet.feed(0, 400)
-    first = quiet.final()
-
-    def fail(_: Any) -> Estimate:
-        raise ZeroDivisionError("division by zero")
-
-    monkeypatch.setattr(quiet.session.identifier, "solve", fail)
-    quiet.feed(400)
-    assert isinstance(quiet.final(), GeomidError)
-    assert quiet.worker.estimate is first
-    assert "division by zero" in quiet.worker.solver.problem
-
-
 Answers: TypeAlias = "queue.Queue[Estimate | GeomidError]"
 
 
