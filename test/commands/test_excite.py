@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
+import click
 import numpy as np
 import pytest
 import yaml
@@ -130,3 +133,38 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     assert "motion.yaml: the trajectory cannot be read" in refused("excite", "run", tmp_path / "motion.yaml")
     message = refused("excite", "run", tmp_path / "motion.yaml", "--urdf", tmp_path / "robot.urdf")
     assert "robot.urdf: the robot description cannot be read" in message
+
+
+class Rounds:
+    """Of which the first promises more than all others."""
+
+    folder, number = Path(), 1
+
+    def __init__(self, *_: object) -> None:
+        self.found = False
+
+    def design(self) -> SimpleNamespace:
+        learning = SimpleNamespace(gain=0.04 if self.found else 0.5)
+        return SimpleNamespace(learning=learning, not_worth=lambda until: f"less than {until:.0%}")
+
+    def show(self, _: object) -> None:
+        self.found = True
+
+    def run(self, _: object, *, execute: bool) -> None:
+        assert execute
+
+    def identify(self) -> None:
+        click.echo("identified")
+
+    tell = identify
+
+
+@pytest.mark.parametrize(("until", "said"), [("5%", "Stopped: less than 5%"), ("3%", "Stopped after 3 rounds")])
+def test_rounds_end_where_another_is_not_worth_it(
+    until: str, said: str, arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(import_module("geomid_ros.commands.excite.run"), "_LearningRounds", Rounds)
+    arguments = ("--urdf", arm, "--execute", "--yes", "--rounds", "3", "--until", until, "--out", tmp_path)
+    text = done("excite", "learn", *arguments)
+    assert said in text
+    assert text.count("identified") == (2 if until == "5%" else 4)

@@ -15,7 +15,6 @@ from files.recordings import BAGS, QUICK, Recorded, altered, recorded, write_bag
 from geomid_ros.files.models.effects_file import read_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.options import Hidden
@@ -117,28 +116,6 @@ def test_the_written_model_has_what_was_found(found: tuple[Path, str]) -> None:
     assert {link["name"]: link["mass"] for link in links} == pytest.approx(
         {name: body.parameters[0] for name, body in bodies.items()}, rel=1e-8
     )
-
-
-@pytest.fixture(scope="module")
-def model(folder: Path) -> Path:
-    """An estimate that knows the friction already, beside the robot's description."""
-    known = folder / "known"
-    known.mkdir()
-    (known / "identified.urdf").write_text(URDF.read_text())
-    links = [
-        {
-            "name": body.name,
-            "mass": body.parameters[0],
-            "com": pseudo_inertia.centre_of_mass(body.parameters).tolist(),
-            "inertia": pseudo_inertia.central_inertia(body.parameters).tolist(),
-        }
-        for body in Robot(read_urdf(URDF)).bodies
-    ]
-    effect = {"name": "coulomb_friction", "joint": "joint2", "value": LEVEL}
-    verdict = {"result": "doubtful", "reasons": ["gravity is missing"]}
-    document = {"format": 1, "links": links, "effects": [effect], "verdict": verdict}
-    (known / "estimate.json").write_text(json.dumps(document))
-    return known / "estimate.json"
 
 
 @pytest.mark.usefixtures("without_pictures")

@@ -106,12 +106,14 @@ def test_the_robot_is_that_beside_the_model(model: Path) -> None:
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
 
-def test_an_estimate_stands_for_the_empty_recording(torques: Path) -> None:
+def test_an_estimate_stands_for_the_empty_recording(torques: Path, tmp_path: Path) -> None:
     found = json.loads(geomid("payload", torques / "estimate.json", BAGS / "arm3", "--frame", "tool", "--json").stdout)
     assert found["frame"] == "tool"
     assert found["quantities"]["mass"] < 0.05
-    urdf = BAGS / "arm3.urdf"
-    both = json.loads(done("payload", BAGS / "arm3", BAGS / "arm3", "--urdf", urdf, "--frame", "tool", "--json"))
+    config = tmp_path / "payload.yaml"
+    config.write_text("geomid: {ros__parameters: {payload: {gain: 0.2, frame: tool}}}", encoding="utf-8")
+    both = json.loads(done("payload", BAG, BAG, "--urdf", URDF, "--config", config, "--json"))
+    assert (found["gain"], both["gain"], both["frame"]) == (0.03, 0.2, "tool")
     assert both["quantities"]["mass"] < 0.05
     said = refused("payload", torques / "estimate.json", BAGS / "arm3", "--for", "ur", "--json")
     assert "--json and --for exclude each other" in said

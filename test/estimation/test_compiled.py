@@ -16,8 +16,6 @@ from geomid_ros.geometry import compiled
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
-pytestmark = pytest.mark.skipif(compiled.native is None, reason="built without a compiler")
-
 # Fewer links than the compiled code takes at once, as many, and more; with and without coefficients of each kind.
 MANIFOLDS = pytest.mark.parametrize(
     "manifold",
@@ -30,6 +28,7 @@ MANIFOLDS = pytest.mark.parametrize(
     ],
     ids=str,
 )
+needs_compiled = pytest.mark.skipif(compiled.native is None, reason="built without a compiler")
 ROUNDING = 1e-9  # of the largest entry; bodies are as much as 1e5 times as large in one direction as in another
 
 
@@ -66,6 +65,7 @@ def weights(rng: np.random.Generator, manifold: ParameterManifold) -> FloatArray
     return each
 
 
+@needs_compiled
 @MANIFOLDS
 def test_an_objective_of_channels_is_the_same(manifold: ParameterManifold, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
@@ -99,6 +99,7 @@ def test_a_channel_below_its_floor_is_one_of_known_noise() -> None:
         assert bound.gradient @ direction == pytest.approx(slope, abs=1e-4 * largest)
 
 
+@needs_compiled
 @MANIFOLDS
 def test_an_objective_of_products_is_the_same(manifold: ParameterManifold, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
@@ -111,6 +112,7 @@ def test_an_objective_of_products_is_the_same(manifold: ParameterManifold, monke
     assert_same(own, objective.evaluate(point))
 
 
+@needs_compiled
 @MANIFOLDS
 @pytest.mark.parametrize("length", [0.01, 30.0])
 def test_a_straight_step_ends_in_the_same_place(
@@ -153,6 +155,7 @@ def test_a_column_that_a_channel_does_not_have_does_not_matter_to_it() -> None:
     assert after[0] != pytest.approx(before[0], rel=1e-3)
 
 
+@needs_compiled
 @pytest.mark.parametrize("known", [0, 3])
 def test_the_minimum_of_channels_is_the_same(known: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the prior and from far away, where steps are shortened and taken back."""
@@ -180,3 +183,56 @@ def test_a_minimum_is_not_looked_for_from_nowhere() -> None:
     nowhere = replace(profile.prior, reals=np.full(1, np.nan))
     with pytest.raises(LinAlgError, match="not finite"):
         minimum(ProfileObjective(profile, weights(rng, manifold), np.zeros((12, 12))), nowhere)
+
+
+# --- Products of channels in their own columns, beside the same in all columns ---
+
+SIZE, CHANNELS = 14, 5
+
+
+def channel_rows(rng: np.random.Generator) -> FloatArray:
+    """Of each channel ``(C, N, size)``, with columns that it does not have, next to each other and apart."""
+    every = rng.normal(size=(CHANNELS, 30, SIZE))
+    for channel in range(CHANNELS):
+        every[channel][:, rng.random(SIZE) < 0.4] = 0.0
+        every[channel][:, 2 * channel : 2 * channel + 3] = 0.0
+        every[channel][:, -1] = rng.normal(size=30)
+    return every
+
+
+def own_columns(every: FloatArray) -> ChannelProducts:
+    places = [np.flatnonzero(np.any(each, axis=0)) for each in every]
+    return ChannelProducts.of(
+        SIZE, ((place, each[:, place].T @ each[:, place]) for place, each in zip(places, every, strict=True))
+    )
+
+
+@pytest.mark.usefixtures("either")
+def test_they_are_those_of_all_columns() -> None:
+    """Sums of squares, and weighted sums of products, of some columns, by the rows themselves."""
+    rng = np.random.default_rng(1)
+    every = channel_rows(rng)
+    columns = np.flatnonzero(rng.random(SIZE - 1) < 0.7)
+    whole, weights = own_columns(every), rng.uniform(0.5, 2.0, CHANNELS)
+    np.testing.assert_allclose(whole.weighed(weights), np.einsum("c,cni,cnj->ij", weights, every, every), atol=1e-12)
+    for products, left in ((whole, every), (whole.select(columns), every[:, :, [*columns, SIZE - 1]])):
+        vector = rng.normal(size=left.shape[2])
+        squares = np.sum((left @ vector) ** 2, axis=1)
+        np.testing.assert_allclose(products.squares(vector), squares)
+        least = np.where(np.arange(CHANNELS) == 1, 2.0 * squares, 0.0)
+        found, total = products.weighed_by_squares(vector, weights, least)
+        np.testing.assert_allclose(found, squares)
+        expected = weights / np.maximum(squares, least)
+        np.testing.assert_allclose(total, np.einsum("c,cni,cnj->ij", expected, left, left), atol=1e-12)
+        np.testing.assert_allclose(products.targets, np.sum(left[:, :, -1] ** 2, axis=1))
+    for channel, measured in enumerate(every):
+        np.testing.assert_allclose(whole.weighed(np.arange(len(whole)) == channel), measured.T @ measured, atol=1e-12)
+
+
+def test_a_channel_has_no_room_for_what_it_does_not_have() -> None:
+    """So that a robot of many limbs takes little: blocks of the columns that are there."""
+    products = own_columns(channel_rows(np.random.default_rng(0)))
+    assert all(
+        block.shape == (len(place), len(place)) for place, block in zip(products.places, products.blocks, strict=True)
+    )
+    assert products.packed.blocks.size == sum(len(place) ** 2 for place in products.places) < CHANNELS * SIZE**2

@@ -99,7 +99,7 @@ def test_the_prior_that_grew_is_not_what_the_data_are_compared_with() -> None:
 def test_what_is_identified_is_right_where_the_urdf_is_three_times_as_wrong_as_usual() -> None:
     """The data say it, not the prior: no number of a planted arm is off by more than a fifth."""
     count = 0
-    for seed in range(12):
+    for seed in range(6):
         case = arm("arm3", seed, size=0.6)
         rows = case.model.rows(case.samples)
         found = estimate(case.model, summary(case.model, rows.coefficients, rows.targets), EstimatorSettings())
@@ -108,7 +108,7 @@ def test_what_is_identified_is_right_where_the_urdf_is_three_times_as_wrong_as_u
             errors = np.abs(quantities_and_moments(link.parameters) - quantities_and_moments(true)) / sizes(true)
             assert np.all(errors[:10][known] < 0.2), (seed, link.name)
             count += np.count_nonzero(known)
-    assert count > 10
+    assert count > 5
 
 
 def test_a_scale_identifies_a_mass() -> None:

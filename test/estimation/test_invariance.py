@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -57,14 +56,3 @@ def test_frames_and_units_do_not_matter(name: str, kind: str, length: float, mas
         assert two.std == pytest.approx(unit * one.std, rel=SAME)
     np.testing.assert_allclose(there.rms, unit * here.rms, rtol=SAME)
     np.testing.assert_allclose(there.sigmas, unit * here.sigmas, rtol=SAME)
-
-
-def test_the_chunks_in_which_samples_come_do_not_matter() -> None:
-    case = arm("arm3", 2)
-    whole = solved(case)
-    identifier = Identifier(case.model)
-    for start in range(0, len(case.samples), 77):
-        identifier.add(case.samples.select(slice(start, start + 77)))
-        identifier.snapshot()
-    pieces = identifier.solve()
-    np.testing.assert_allclose(pieces.parameters, whole.parameters, rtol=1e-6, atol=1e-9)

@@ -12,7 +12,7 @@ from geomid_ros.types import FloatArray
 
 from .problems import ALL
 
-COUNT = 4000
+COUNT = 3000
 
 
 def posterior(covariance: FloatArray, seed: int = 0) -> Posterior:

@@ -10,6 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -44,6 +46,32 @@ class Recorded:
     def changed(self, **fields: Any) -> Recorded:
         """The same with other fields of the message."""
         return replace(self, message=replace(self.message, **fields))
+
+
+def made(kind: str, **fields: Any) -> Any:
+    """A message. Messages in it are given as dictionaries, or as lists of their numbers; what is not given is zero or
+    empty."""
+    return TYPES.types[kind](**{name: _field(*of, fields.get(name)) for name, of in TYPES.fielddefs[kind][1]})
+
+
+def _field(node: Nodetype, of: Any, value: Any) -> Any:
+    if node == Nodetype.NAME:
+        named = value if isinstance(value, dict) else dict(zip(_names(of), value or (), strict=False))
+        return made(of, **named)
+    if value is not None:
+        return value
+    if node == Nodetype.BASE:
+        return "" if of[0] == "string" else 0
+    return np.zeros(of[1])
+
+
+def _names(kind: str) -> list[str]:
+    return [name for name, _ in TYPES.fielddefs[kind][1]]
+
+
+def stamped(stamp: int, frame: str = "") -> dict[str, Any]:
+    """A header, for :func:`made`."""
+    return {"stamp": dict(zip(("sec", "nanosec"), divmod(stamp, 1_000_000_000), strict=True)), "frame_id": frame}
 
 
 def recorded(bag: Path) -> list[Recorded]:

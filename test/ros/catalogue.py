@@ -22,11 +22,10 @@ _stream = "test_catalogue_messages.py::test_a_bad_stream_is_named_and_leaves_no_
 _again = "test_catalogue_streams.py::test_what_comes_again_is_waited_out[{}]".format
 _jump = "test_catalogue_streams.py::test_time_that_jumps_begins_a_segment_and_costs_nothing[{}]".format
 _second = "test_catalogue_streams.py::test_a_second_publisher_is_named_and_believed_no_more_than_the_first[{}]".format
-_declared = "test_catalogue_wrench.py::test_a_sensor_that_is_declared_wrongly_is_named[{}]".format
-_changes = "test_catalogue_wrench.py::test_a_sensor_that_changes_is_named[{}]".format
 _solver = "test_catalogue_failures.py::test_a_solver_that_fails_keeps_the_last_estimate[{}]".format
 _exception = "test_catalogue_failures.py::test_an_exception_costs_the_messages_it_meets[{}]".format
 _console = "test_catalogue_console.py::test_{}".format
+_supervisor = "test_supervisor.py::test_{}".format
 
 
 def _bags(name: str) -> str:
@@ -34,7 +33,7 @@ def _bags(name: str) -> str:
 
 
 _both = "../session/test_ledger_findings.py::test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node[{}]".format
-_disk = "test_catalogue_failures.py::test_a_disk_that_cannot_be_written_stops_nothing[{}]".format
+_service = "test_catalogue_failures.py::test_what_fails_is_answered_and_stops_nothing[{}]".format
 _BAGS = "../files/test_bag_faults.py"
 _NAMES = "../commands/test_names.py::test_"
 _MISTAKES = "../commands/test_mistakes.py::test_"
@@ -67,7 +66,7 @@ CATALOGUE = (
     Fault(13, "no names", "R E", (_message("13-no-names"),)),
     Fault(14, "two publishers of a topic", "dropped, E naming both", (_second("14-two-publishers"),)),
     Fault(15, "a second stream with prefixed names", "R W; dropped while there are two publishers, E", (_message("15-prefixed-names"), _second("15-a-phantom"))),
-    Fault(16, "left and right arm in separate messages", "dropped, E; merged with `merge_joint_states`", (_second("16-an-arm-of-its-own"), "test_catalogue_merging.py::test_16_two_arms_are_put_together")),
+    Fault(16, "left and right arm in separate messages", "dropped, E; merged with `merge_joint_states`", (_second("16-an-arm-of-its-own"), "test_catalogue_streams.py::test_16_two_arms_are_put_together")),
     Fault(17, "a publisher replaced by another", "taken", (f"{_STREAMS}17_a_publisher_that_is_replaced",)),
     Fault(18, "stamp zero", "R W", (_message("18-stamp-0"),)),
     Fault(19, "the same stamp again", "R W", (_message("19-duplicate"),)),
@@ -82,16 +81,16 @@ CATALOGUE = (
     Fault(28, "paused simulation", "R W", (_again("28-paused-simulation"),)),
     Fault(29, "simulated time without `/clock`", "W; data are used with their own stamps", (f"{_GRAPH}29_simulated_time_without_a_clock",)),
     Fault(30, "messages lost on the way", "counted, W", (f"{_GRAPH}30_messages_that_are_lost_on_the_way_are_counted",)),
-    Fault(31, "queue overflow", "W; messages are dropped while 10,000 messages or 100 MB wait", (f"{_FAILURES}31_what_does_not_fit_into_the_queue_is_dropped",)),
-    Fault(32, "bursts", "taken", (f"{_STREAMS}32_a_burst_is_taken",)),
+    Fault(31, "queue overflow", "W; messages are dropped while 10,000 messages or 100 MB wait", ("test_worker.py::test_what_waits_is_bounded_by_number_and_bytes",)),
+    Fault(32, "bursts", "taken", (f"{_FAILURES}96_a_burst_of_thousands_after_silence_is_taken",)),
     Fault(33, "QoS mismatch: durability", "E naming policy and publisher", (f"{_GRAPH}33_a_description_that_is_not_kept_for_those_who_come_late",)),
     Fault(34, "QoS mismatch: reliability", "E naming policy and publisher", (f"{_GRAPH}34_joint_states_less_reliable_than_is_asked_for",)),
-    Fault(35, "wrench with its sign reversed", "E within two seconds of motion; none of its rows is used, earlier ones included, until `~/reset`", (_declared("35-sign-flipped"),)),
-    Fault(36, "wrench in another frame", "R W if the message says so; otherwise as 35", (_message("36-wrong-frame"), _declared("36-another-frame"))),
+    Fault(35, "wrench with its sign reversed", "E within two seconds of motion; none of its rows is used, earlier ones included, until `~/reset`", ("test_catalogue_wrench.py::test_35_a_sensor_that_is_declared_wrongly_is_named",)),
+    Fault(36, "wrench in another frame", "R W if the message says so; otherwise as 35", (_message("36-wrong-frame"), "../checks/test_wrenches.py::test_turned_axes_are_named")),
     Fault(37, "wrench without a frame", "assumed to be in the declared frame", (_stream("37-no-frame"),)),
-    Fault(38, "wrench in another unit", "the same as 35", (_declared("38-millinewtons"),)),
-    Fault(39, "wrench tared during the run", "E once the normal level is known; its rows are left out from just before the change, until it is as before or `~/reset`; the rows are used if it may be a load: joints or other sensors show a change, too, or no joint is monitored", (_changes("39-tared"),)),
-    Fault(40, "wrench drifting", "as 39; drift below the noise stays in the estimate, which equals that of a run whose sensor stopped just before the gap", (_changes("40-drifting"),)),
+    Fault(38, "wrench in another unit", "the same as 35", ("../checks/test_wrenches.py::test_another_unit_of_all",)),
+    Fault(39, "wrench tared during the run", "E once the normal level is known; its rows are left out from just before the change, until it is as before or `~/reset`; the rows are used if it may be a load: joints or other sensors show a change, too, or no joint is monitored", ("test_worker_wrenches.py::test_only_the_sensor_that_changed_loses_its_rows_and_only_until_it_is_as_before",)),
+    Fault(40, "wrench drifting", "as 39; drift below the noise stays in the estimate, which equals that of a run whose sensor stopped just before the gap", ("test_catalogue_wrench.py::test_40_a_sensor_that_drifts_is_named",)),
     Fault(41, "effort saturated", "R W", ("../signals/test_saturation.py::test_a_curve_that_is_cut_off_is_refused_where_it_is",)),
     Fault(42, "stamps advancing over frozen numbers", "R W", (_message("42-frozen"),)),
     Fault(43, "description late", "dropped, W", (f"{_DESCRIPTION}a_late_and_at_first_unreadable_description",)),
@@ -102,9 +101,9 @@ CATALOGUE = (
     Fault(48, "rank deficient", "the diagnostics list the links whose masses are identified only in combination", (f"{_STREAMS}48_a_motion_of_one_joint_leaves_links_untold_and_names_them",)),
     Fault(49, "solver not converged, not finite, or failing", "W, E if it fails; the last estimate is kept", (_solver("49-not-converged"), _solver("49-not-a-number"), _solver("49-solver-fails"))),
     Fault(50, "solver timeout", "W; the last estimate is kept", (_solver("50-solver-over-its-time"),)),
-    Fault(51, "exception in a callback", "the message is dropped, E", (_exception("51-callback"),)),
-    Fault(52, "exception in a thread", "the message is dropped, or its rows rejected, E", (_exception("52-worker"), f"{_FAILURES}52_rows_that_cannot_be_made_are_counted")),
-    Fault(53, "a solve or the processing of messages hangs", "ended and begun anew, the processing of messages at most three times until `~/reset`; E until there is an estimate again", (f"{_FAILURES}53_a_solver_that_hangs_is_replaced", f"{_FAILURES}53_an_intake_that_hangs_is_replaced_three_times")),
+    Fault(51, "exception in a callback", "the message is dropped, E", (f"{_FAILURES}what_fails_is_answered_and_stops_nothing",)),
+    Fault(52, "exception in a thread", "the message is dropped, or its rows rejected, E", (_exception("52-worker"), _exception("52-rows"))),
+    Fault(53, "a solve or the processing of messages hangs", "ended and begun anew, the processing of messages at most three times until `~/reset`; E until there is an estimate again", (f"{_FAILURES}53_a_solver_that_hangs_is_replaced", f"{_FAILURES}53_an_intake_that_hangs_is_replaced_so_many_times")),
     Fault(54, "shutdown from a callback", "ends within two seconds with status 0, the last estimate saved", (f"{_FAILURES}54_a_shutdown_from_a_callback_ends_the_node_well",)),
     Fault(55, "Ctrl-C while solving", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate",)),
     Fault(56, "Ctrl-C twice", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate",)),
@@ -115,12 +114,12 @@ CATALOGUE = (
     Fault(61, "bag of a wrong type", "X naming file", (_BAGS,)),
     Fault(62, "crafted bag", "X naming file", (_BAGS,)),
     Fault(63, "empty bag", "X naming file", (_BAGS,)),
-    Fault(64, "disk full", "E; estimating goes on", (_disk("64-disk-full"),)),
-    Fault(65, "disk read-only", "E; estimating goes on", (_disk("65-read-only"),)),
-    Fault(66, "folder unwritable", "E; estimating goes on", (_disk("66-unwritable"),)),
-    Fault(67, "disk slow", "E; estimating goes on", (f"{_FAILURES}67_a_slow_disk_keeps_nobody_waiting",)),
+    Fault(64, "disk full", "E; estimating goes on", (_service("64-disk-full"),)),
+    Fault(65, "disk read-only", "E; estimating goes on", (_service("65-read-only"),)),
+    Fault(66, "folder unwritable", "E; estimating goes on", (_service("66-unwritable"),)),
+    Fault(67, "disk slow", "E; estimating goes on", (_service("67-disk-slow"),)),
     Fault(68, "a service call in the wrong state", "the response says what is missing", ("test_services.py::test_services_without_a_robot_say_what_is_missing",)),
-    Fault(69, "exception in a service", "the response contains it, E", (f"{_FAILURES}69_an_exception_in_a_service_is_answered",)),
+    Fault(69, "exception in a service", "the response contains it, E", (_service("69-service-fails"),)),
     Fault(70, "unknown or ill-typed parameter", "X naming it at startup; refused later", ("test_parameters.py::test_what_cannot_be_used_is_refused_with_one_message", "test_parameters.py::test_parameters_are_described")),
     Fault(71, "a driver that wraps positions at a whole turn", "unwrapped, W", (_both("71-wraps"),)),
     Fault(73, "positions that jump for up to three messages (encoder glitches)", "R W", (_both("73-position-glitches"),)),
@@ -133,12 +132,12 @@ CATALOGUE = (
     Fault(83, "effort unit or sign that changes during the run at all joints", "E", (_both("83-unit-in-mid-run"),)),
     Fault(85, "two thirds of a joint's efforts NaN; two publishers in a bag; a joint NaN throughout", "the message counts are printed and written, W", (_both("85-mostly-nan"), _both("85-two-publishers"), _both("85-nan-throughout"))),
     Fault(87, "messages in pairs or batches (USB, EtherCAT)", "the period from the span of stamps, E", (_both("87-five-per-batch"),)),
-    Fault(88, "`merge_joint_states` with a slow gripper", "the rate of the fastest part; positions of slow parts are interpolated, their efforts left out, W", ("test_catalogue_merging.py::test_88_a_slow_gripper_does_not_slow_down_the_arm",)),
-    Fault(89, "one part of a merged robot dies", "W naming its joints", (_console("89_a_part_that_falls_silent_is_named"),)),
-    Fault(90, "messages are accepted, but yield no rows", "W asking to check the clocks of the topics", (_console("90_messages_of_which_nothing_comes_are_a_warning"),)),
+    Fault(88, "`merge_joint_states` with a slow gripper", "the rate of the fastest part; positions of slow parts are interpolated, their efforts left out, W", ("test_catalogue_streams.py::test_88_a_slow_gripper_does_not_slow_down_the_arm",)),
+    Fault(89, "one part of a merged robot dies", "W naming its joints", (f"{_STREAMS}89_a_part_that_falls_silent_is_named",)),
+    Fault(90, "messages are accepted, but yield no rows", "W asking to check the clocks of the topics", ("test_diagnostics.py::test_90_messages_of_which_nothing_comes_are_a_warning",)),
     Fault(91, "the solving process is killed", "restarted, after increasing pauses if it ends without a result, W; no message is lost", (_SOLVING + "91_a_node_whose_process_is_killed_goes_on", _SOLVING + "a_process_that_is_killed_is_replaced", _SOLVING + "one_that_ends_in_every_solve_is_started_after_pauses")),
-    Fault(92, "slow solves now and then", "each that hangs is ended and begun anew", (_console("92_what_hung_is_told_until_there_is_an_estimate"),)),
-    Fault(93, "a mimic joint that is not in the messages", "follows its master, whose effort drives both", ("../model/test_mimic.py::test_the_masters_efforts_make_the_energy_grow", _console("93_a_mimic_joint_is_not_waited_for"))),
+    Fault(92, "slow solves now and then", "each that hangs is ended and begun anew", (_supervisor("92_what_hung_is_told_until_there_is_an_estimate"),)),
+    Fault(93, "a mimic joint that is not in the messages", "follows its master, whose effort drives both", ("../model/test_mimic.py::test_the_masters_efforts_make_the_energy_grow", _supervisor("they_are_locked_when_all_had_the_time_to_be_heard"))),
     Fault(94, "tf_prefix", "R E naming the prefix", (_message("15-prefixed-names"), _REFUSALS)),
     Fault(95, "an infinite speed", "R W", (_message("95-infinite-speed"), _both("95-infinite-speeds"))),
     Fault(96, "thousands of messages at once after silence", "taken", (f"{_FAILURES}96_a_burst_of_thousands_after_silence_is_taken",)),
@@ -146,10 +145,10 @@ CATALOGUE = (
     Fault(98, "a bag without CRCs", "a note says that corruption cannot be detected", (_bags("it_is_said_that_nothing_is_checked"),)),
     Fault(99, "ROS 1 bags; lz4; a folder of bags", "X with the command that converts; read; read", (_bags("the_command_for_a_bag_of_ros_1_makes_one_that_is_read"), _bags("lz4_is_read"), _bags("a_folder_of_bags_is_all_of_them"))),
     Fault(100, "files of a split bag listed in another order", "read by time", (_bags("files_listed_in_another_order_are_read_by_time"),)),
-    Fault(101, "`~/save` under load", "response within five seconds, with the last estimate or the reason why not", (_FAILURES + "101_saving_under_load_is_answered", _console("101_what_takes_too_long_is_said"))),
+    Fault(101, "`~/save` under load", "response within five seconds, with the last estimate or the reason why not", (_service("101-solver-busy"), _supervisor("101_what_takes_too_long_is_said"))),
     Fault(102, "too little memory", "X in one sentence", (_MISTAKES + "too_little_memory_is_said_in_one_sentence",)),
     Fault(103, "names with terminal, HTML or formula markup", "shown as plain text", (_NAMES + "markup_is_shown_as_it_is", _NAMES + "html_is_text_in_a_report")),
-    Fault(104, "control characters and line ends in names and frames", "shown as escape codes, in terminal, log and diagnostics", (_NAMES + "what_cannot_be_printed_is_shown_as_codes", _console("108_104_all_messages_refused_is_said_on_the_console"), _console("104_a_frame_id_is_printable"))),
+    Fault(104, "control characters and line ends in names and frames", "shown as escape codes, in terminal, log and diagnostics", (_NAMES + "what_cannot_be_printed_is_shown_as_codes", _console("108_104_all_messages_refused_is_said_on_the_console"))),
     Fault(105, "a pipe or a device in place of a file", "X naming it", (_REFUSALS,)),
     Fault(106, "a bag that unpacks to hundreds of times its size", "X naming it, before the disk is full", (_bags("what_would_fill_the_disk_is_refused_before"), _bags("a_packed_file_that_unpacks_to_too_much_is_refused"))),
     Fault(107, "names of 20,000 characters", "accepted, at the cost of their length", (_NAMES + "a_name_costs_no_more_than_its_length",)),

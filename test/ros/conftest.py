@@ -37,9 +37,10 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
         yield stage
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """One node for many faults, one after the other: to start it takes longer than any of them."""
+    """One node for many faults, one after the other: to start it takes longer than any of them, and while nobody needs
+    it, it costs time."""
     from .rig import rigged  # noqa: PLC0415 needs ROS
 
     with rigged(tmp_path_factory.mktemp("rig")) as rig:

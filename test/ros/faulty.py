@@ -22,12 +22,11 @@ from geomid_ros.estimation.identifier import EstimationTask, Identifier
 from geomid_ros.live import inbox, saving, supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros import main
-from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"
-MOST_WAITING = 300  # messages, in a standstill
 AT_ONCE, SLOW_MACHINE = 100, 0.003  # messages that are taken together, and [s] for each on a slow machine
-HANGING = ("solver hangs", "solver computes for ever", "intake hangs", "everything hangs")
+COMPUTES = "solver computes for ever"
+HANGING = (COMPUTES, "intake hangs", "everything hangs")
 
 
 def fault() -> str:
@@ -57,17 +56,17 @@ def hang(*_: Any, **__: Any) -> None:
 
 
 class Watch:
-    """Looks for what hangs with less patience from a fault that hangs on, until there is another: else a solve may take
-    long on a busy machine."""
+    """Looks for what hangs with less patience from a fault that hangs on, until there is another or it ends by itself:
+    else a solve may take long on a busy machine."""
 
     def __init__(self) -> None:
         self._look = supervisor.Supervisor.restart_hung_threads
-        self._patience = supervisor.HANGING
+        self._fault = ""
 
     def __call__(self, of: supervisor.Supervisor) -> None:
-        if found := fault():
-            self._patience = 4.0 if found in HANGING else supervisor.HANGING
-        with patch.object(supervisor, "HANGING", self._patience):
+        if (found := fault()) or self._fault == COMPUTES:
+            self._fault = found
+        with patch.object(supervisor, "HANGING", 4.0 if self._fault in HANGING else supervisor.HANGING):
             self._look(of)
 
 
@@ -107,12 +106,6 @@ def waiting(healthy: Any, *arguments: Any) -> Any:
     return healthy(*arguments)
 
 
-def standing_still(healthy: Any, owner: Any, messages: list[Any]) -> Any:
-    """The same, and fewer messages than usual can wait meanwhile."""
-    with patch.object(inbox, "MOST_WAITING", MOST_WAITING):
-        return waiting(healthy, owner, messages)
-
-
 def as_a_slow_machine(healthy: Any, owner: Any, messages: list[Any]) -> Any:
     time.sleep(SLOW_MACHINE * len(messages))
     return healthy(owner, messages)
@@ -150,8 +143,7 @@ def with_wrenches(act: Callable[..., Any]) -> Callable[..., Any]:
 def plant_in_solving_process() -> None:
     """In this one, and in those that take its place."""
     plant(EstimationTask, "solve", {
-        "solver hangs": hang,
-        "solver computes for ever": compute,
+        COMPUTES: compute,
         "everything hangs": hang,
     })  # fmt: skip
 
@@ -159,21 +151,14 @@ def plant_in_solving_process() -> None:
 def run() -> None:
     """Plant, and run the node."""
     plant_in_solving_process()
-    plant(Identifier, "solve", {
-        "solver fails": fail,
-        "solver slow": slowly,
-        "solver waits": waiting,
-        "not converged": unconverged,
-        "not a number": not_a_number,
-    })  # fmt: skip
-    plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
-    plant(SignalPipeline, "_use", {"messages fail": of_wrenches(fail)})
-    plant(Worker, "_take", {"intake stands still": standing_still, "machine slow": as_a_slow_machine})
+    plant(Identifier, "solve", {"solver waits": waiting})
+    plant(Identifier, "add", {"intake hangs": hang})
+    plant(Worker, "_take", {"machine slow": as_a_slow_machine})
     plant(Worker, "enqueue", {"callback fails": with_wrenches(fail), "callback shuts down": with_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
     plant(saving, "save", {"saving fails": fail})
-    inbox.MOST_AT_ONCE = AT_ONCE
+    inbox.MOST_AT_ONCE, supervisor.MOST_RESTARTS = AT_ONCE, 1
     watch = Watch()
     supervisor.Supervisor.restart_hung_threads = lambda self: watch(self)  # noqa: PLW0108 an object is no method
     main.main()

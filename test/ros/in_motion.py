@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from files.recordings import TYPES, Recorded
+from files.recordings import Recorded, made, stamped
 from model.robots import Reference
 
 from benchmarks.moving_base import moving_base
@@ -121,79 +121,51 @@ class InMotion:
         """Joint messages, of all or some of the ``joints``, in that order."""
         names = list(joints or self.joints)
         at = [self.joints.index(name) for name in names]
-        rows = zip(
-            self.samples.position[:, at].tolist(), self.samples.velocity[:, at].tolist(), efforts[:, at], strict=True
-        )
+        moving = np.array([self.samples.position[:, at], self.samples.velocity[:, at], efforts[:, at]])
         return [
-            _recorded(
-                topic,
-                "sensor_msgs/msg/JointState",
-                stamp,
-                header=_header(stamp, ""),
-                name=names,
-                position=np.array(position),
-                velocity=np.array(velocity),
-                effort=np.array(effort),
-            )
-            for stamp, (position, velocity, effort) in zip(self.stamps, rows, strict=True)
+            self._recorded(topic, "sensor_msgs/msg/JointState", k, name=names, position=q, velocity=v, effort=effort)
+            for k, (q, v, effort) in enumerate(zip(*moving, strict=True))
         ]
 
     def wrenches(self, topic: str, frame: str, wrenches: FloatArray) -> list[Recorded]:
         """Wrench messages."""
         return [
-            _recorded(
-                topic,
-                "geometry_msgs/msg/WrenchStamped",
-                stamp,
-                header=_header(stamp, frame),
-                wrench=_message("geometry_msgs/msg/Wrench", force=_vector(row[:3]), torque=_vector(row[3:])),
+            self._recorded(
+                topic, "geometry_msgs/msg/WrenchStamped", k, frame, wrench={"force": row[:3], "torque": row[3:]}
             )
-            for stamp, row in zip(self.stamps, wrenches, strict=True)
+            for k, row in enumerate(wrenches.tolist())
         ]
 
     def odometry(self, topic: str = "/odom") -> list[Recorded]:
         """Poses of the base; the twist is left at zero, as it is not needed."""
-        none = np.zeros(36)
-        still = _message(
-            "geometry_msgs/msg/TwistWithCovariance",
-            twist=_message("geometry_msgs/msg/Twist", linear=_vector(np.zeros(3)), angular=_vector(np.zeros(3))),
-            covariance=none,
-        )
         return [
-            _recorded(
+            self._recorded(
                 topic,
                 "nav_msgs/msg/Odometry",
-                stamp,
-                header=_header(stamp, "odom"),
+                k,
+                "odom",
                 child_frame_id="base",
-                pose=_message("geometry_msgs/msg/PoseWithCovariance", pose=_pose(pose), covariance=none),
-                twist=still,
+                pose={"pose": {"position": pose[:3], "orientation": pose[3:]}},
             )
-            for stamp, pose in zip(self.stamps, self.samples.base_pose, strict=True)
+            for k, pose in enumerate(self.samples.base_pose.tolist())
         ]
 
     def imu(self, topic: str, frame: str) -> list[Recorded]:
         """What an IMU on a link measures; its orientation is left out, which a covariance of -1 says."""
-        found = []
-        for index, stamp in enumerate(self.stamps):
-            rotation = self.reference.placement(self.samples, index, self.joints, frame).rotation
-            velocity, acceleration = self.reference.motion(self.samples, index, self.joints, frame)
+        unknown, found = np.append(-1.0, np.zeros(8)), []
+        for k in range(len(self.stamps)):
+            rotation = self.reference.placement(self.samples, k, self.joints, frame).rotation
+            velocity, acceleration = self.reference.motion(self.samples, k, self.joints, frame)
             force = acceleration[:3] + np.cross(velocity[3:], velocity[:3]) + rotation.T @ np.array([0.0, 0.0, 9.81])
+            sensed = {"angular_velocity": velocity[3:].tolist(), "linear_acceleration": force.tolist()}
             found.append(
-                _recorded(
-                    topic,
-                    "sensor_msgs/msg/Imu",
-                    stamp,
-                    header=_header(stamp, frame),
-                    orientation=_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
-                    orientation_covariance=np.append(-1.0, np.zeros(8)),
-                    angular_velocity=_vector(velocity[3:]),
-                    angular_velocity_covariance=np.zeros(9),
-                    linear_acceleration=_vector(force),
-                    linear_acceleration_covariance=np.zeros(9),
-                )
+                self._recorded(topic, "sensor_msgs/msg/Imu", k, frame, orientation_covariance=unknown, **sensed)
             )
         return found
+
+    def _recorded(self, topic: str, kind: str, index: int, frame: str = "", **fields: Any) -> Recorded:
+        stamp = self.stamps[index]
+        return Recorded(topic, kind, stamp, made(kind, header=stamped(stamp, frame), **fields))
 
 
 def noisy(values: FloatArray, level: float, seed: int) -> FloatArray:
@@ -231,28 +203,3 @@ def _samples(joints: FloatArray, base: FloatArray, floating_base: bool) -> Sampl
     of_base = moving_base(base) if floating_base else 3 * (empty,)
     nothing = np.full_like(joints[0], np.nan)
     return Samples(np.arange(1, count + 1), *joints, nothing, *of_base, np.zeros((count, 0, 6)))
-
-
-def _recorded(topic: str, kind: str, stamp: int, **fields: Any) -> Recorded:
-    return Recorded(topic, kind, stamp, _message(kind, **fields))
-
-
-def _message(kind: str, **fields: Any) -> Any:
-    return TYPES.types[kind](**fields)
-
-
-def _header(stamp: int, frame: str) -> Any:
-    time = _message("builtin_interfaces/msg/Time", sec=stamp // SECOND, nanosec=stamp % SECOND)
-    return _message("std_msgs/msg/Header", stamp=time, frame_id=frame)
-
-
-def _vector(values: FloatArray) -> Any:
-    x, y, z = values.tolist()
-    return _message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def _pose(values: FloatArray) -> Any:
-    x, y, z, *turn = values.tolist()
-    position = _message("geometry_msgs/msg/Point", x=x, y=y, z=z)
-    quaternion = _message("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", turn, strict=True)))
-    return _message("geometry_msgs/msg/Pose", position=position, orientation=quaternion)

@@ -161,17 +161,3 @@ def test_it_ends_where_something_else_has_changed(stage: Stage, relay: Process) 
     assert relay.output.count("is left out") == 2
     gaps.publish(String(data=json.dumps({"findings": [{"effect": "payload"}, {"effect": "viscous_friction"}]})))
     stage.observer.wait_for(lambda: "off until ~/reset: /geomid/gap found viscous friction" in relay.output, "the end")
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"heaviest_payload": float("nan")}, "heaviest_payload is nan, expected a number from 0"),
-        ({"link": "hand"}, "unknown link 'hand'"),
-    ],
-)
-def test_what_cannot_adapt_is_said(wrong: dict[str, object], said: str, stage: Stage) -> None:
-    parameters = {"urdf": str(URDF), "heaviest_payload": 2.0} | wrong
-    relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
-    assert relay.status() == 2
-    assert said in relay.output

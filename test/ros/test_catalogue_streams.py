@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from sensor_msgs.msg import JointState
 from .direct import Direct
 from .in_motion import InMotion, in_time, noisy
 from .observer import MATCHING, plenty
-from .rig import ERROR, OK, WARN, Rig
+from .rig import AFTER, BEFORE, ERROR, GOOD, OK, WARN, Rig, rigged
 from .spoiling import later, stamp_of
 from .stage import description
 
@@ -82,19 +83,6 @@ def test_what_comes_again_is_waited_out(name: str, direct: Direct) -> None:
     direct.says(begin, None, "joint_states rejected: stamp not later than the one before")
     direct.feed(after)
     direct.assert_same_as_twin()
-
-
-def test_32_a_burst_is_taken(rig: Rig) -> None:
-    """As fast as it can be published; before, a pause as long as the messages of the burst were held back."""
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.stage.observer.spin(0.5)
-    begin = len(rig.arrays)
-    rig.send(after, pause=0.0)
-    rig.twin.feed(after)
-    values = rig.settled(begin)
-    assert not [key for key in values if key.endswith(" lost")]
-    rig.assert_same_as_twin()
 
 
 def of_one_robot(duration: float, begin: float, swing: Sequence[float]) -> list[Recorded]:
@@ -205,3 +193,68 @@ def test_a_healthy_stream_is_nothing_to_talk_about(rig: Rig) -> None:
     begin = len(rig.arrays)
     rig.feed(after)
     rig.told("good words", begin, lambda _, status: status.level == OK)
+
+
+# --- Left and right arm in messages of their own, from publishers of their own, on one topic ---
+
+
+def part(item: Recorded, places: slice) -> Recorded:
+    """A joint message with some of its joints."""
+    numbers = {key: getattr(item.message, key)[places] for key in ("position", "velocity", "effort")}
+    return item.changed(name=item.message.name[places], **numbers)
+
+
+def test_16_two_arms_are_put_together(tmp_path: Path) -> None:
+    """As if one had sent all joints: the twin is fed whole messages."""
+    with rigged(tmp_path, merge_joint_states=True) as rig:
+        node = rclpy.create_node("right_arm", context=rig.stage.observer.node.context)
+        right = node.create_publisher(JointState, "/joint_states", plenty())
+        rig.stage.observer.wait_for(right.get_subscription_count, "the node")
+        rig.stage.observer.spin(MATCHING)
+        for item in BEFORE + AFTER:
+            if item.topic == "/joint_states":
+                rig.send([part(item, slice(0, 2))])
+                other = part(item, slice(2, None))
+                right.publish(bytes(TYPES.serialize_cdr(other.message, other.kind)))
+                rig.sent["/joint_states"] += 1
+            else:
+                rig.send([item])
+        rig.twin.feed(BEFORE + AFTER)
+        values = rig.settled()
+        assert values["joint_states accepted"] == values["joint_states received"]
+        assert "publishers" not in rig.stream(rig.arrays[-1]).message
+        rig.assert_same_as_twin()
+        node.destroy_node()
+
+
+def test_88_a_slow_gripper_does_not_slow_down_the_arm() -> None:
+    """The last joint comes twice per second: the others' rows are those at the arm's rate, and it is told."""
+    sent = []
+    for place, item in enumerate(BEFORE + AFTER):
+        if item.topic == "/joint_states":
+            sent += [part(item, slice(0, -1))] + ([part(item, slice(-1, None))] if place % 100 < 2 else [])
+        else:
+            sent.append(item)
+    with closing(Direct(merge_joint_states=True)) as direct:
+        direct.send(sent)
+        direct.twin.feed(sent)
+        values = direct.settled()
+        assert values["joint_states accepted"] == values["joint_states received"]
+        direct.says(0, None, "messages per second of")
+        direct.assert_same_as_twin()
+        assert len(direct.twin.session.pipeline.unmeasured) == 1
+
+
+def test_89_a_part_that_falls_silent_is_named() -> None:
+    """Though all that comes is accepted; and it goes on when the part is back."""
+    with closing(Direct(merge_joint_states=True)) as direct:
+        for begin, end, places in ((0, 400, (0, 2)), (400, 1000, (0,)), (1000, len(GOOD), (0, 2))):
+            before = len(direct.arrays)
+            for item in GOOD[begin:end]:
+                parts = [slice(place, 2 if place == 0 else None) for place in places]
+                direct.send([part(item, each) for each in parts] if item.topic == "/joint_states" else [item])
+            if places == (0,):
+                silent = next(item for item in GOOD if item.topic == "/joint_states").message.name[2]
+                direct.says(before, WARN, f"joint_states: no data of '{silent}'")
+            direct.settled(before)
+        direct.told("rows", before, lambda _, status: "no data of" not in status.message)

@@ -96,7 +96,7 @@ def test_killed_at_random_it_goes_on_with_what_was_safe(tmp_path: Path) -> None:
     killed node is known for some seconds."""
     folder, rng = tmp_path / "kept", np.random.default_rng(0)
     safe = accepted = 0
-    for life in range(3):
+    for life in range(2):
         (tmp_path / str(life)).mkdir()
         with staged(tmp_path / str(life)) as stage:
             inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
 from dataclasses import replace
 from typing import Any
@@ -10,8 +11,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from geomid_ros.live.status import Status
-from geomid_ros.ros.diagnostics import Diagnostics
-from geomid_ros.signals.ledger import Account, Reason, driver_error
+from geomid_ros.ros.diagnostics import NO_DESCRIPTION, Diagnostics
+from geomid_ros.signals.ledger import Account, Ledger, Reason, driver_error
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 TOPICS = ("joint_states", "/wrench")
@@ -115,3 +116,29 @@ def test_a_rejected_message_may_have_been_accepted_before() -> None:
     """It waited in vain: one is accepted less, one rejected more."""
     after = status({"/wrench": Account(accepted=19, rejected=Counter({"in vain": 1}))})
     assert "/wrench rejected: in vain (1 messages)" in said(status(), after)[1]
+
+
+def test_a_sentence_with_advice_can_be_counted_and_copied() -> None:
+    """The ledger hands out copies: one that failed would silence all diagnostics."""
+    ledger = Ledger()
+    ledger.drop("joint_states", NO_DESCRIPTION)
+    assert ledger.topics["joint_states"].dropped == {"no robot description yet": 1}
+    assert copy.deepcopy(NO_DESCRIPTION).advice == NO_DESCRIPTION.advice
+
+
+@pytest.mark.parametrize("silent", ["", "/wrench"])
+def test_90_messages_of_which_nothing_comes_are_a_warning(silent: str) -> None:
+    """Once that lasts longer than the filter needs, and until rows come, or nothing is accepted: then something else is
+    wrong, and said."""
+
+    def warned(second: int, rows: int) -> list[str]:
+        accounts = {topic: Account(accepted=0 if topic == silent else 100 * second) for topic in TOPICS}
+        diagnostics.array(Status(active=True, topics=TOPICS, accounts=accounts, rows_made=rows, lag=0.5))
+        return [warning for warning in diagnostics.warnings if "yielded no rows" in warning]
+
+    diagnostics = Diagnostics("node")
+    told = [warned(second, 5) for second in range(12)]
+    assert [bool(warning) for warning in (*told[:5], *told[6:])] == 5 * [False] + 6 * [True]
+    clocks = "check that joint_states and /wrench are stamped by the same clock"
+    assert told[-1][0].endswith(f": none is accepted on {silent}" if silent else f": {clocks}")
+    assert not any(warned(12, 6) for _ in range(10))

@@ -74,22 +74,3 @@ def test_trajectories_go_on_with_efforts_or_not_at_all(stage: Stage, model: Path
     observer.wait_for(lambda: "verdict is 'doubtful'" in relay.output, "a refusal")
     sent.publish(JointTrajectory(joint_names=list(JOINTS)))  # which tells a controller to stop
     observer.wait_for(lambda: len(heard) == 3, "an order to stop")
-
-
-REFUSED = {
-    "no robot": ({}, "no robot is given"),
-    "type": ({"tolerance": "x"}, "tolerance is 'x', expected a number"),
-    "tolerance": ({"tolerance": 0}, "tolerance is 0, expected 0 < tolerance < 1"),
-    "name": ({"urdf": str(BAGS / "arm3.urdf"), "controller": "bad-name"}, "controller: not a name in ROS"),
-    "misspelt": ({"heaviest_paylod": 2.0}, "Did you mean 'heaviest_payload'"),
-    "empty list": ({"model": []}, "a parameter has no value"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_is_wrong_with_its_parameters_is_said(case: str, stage: Stage) -> None:
-    parameters, said = REFUSED[case]
-    relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
-    assert relay.status() == 2
-    assert relay.output.startswith("geomid_feedforward: ")
-    assert said in relay.output

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
+from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
@@ -23,102 +25,100 @@ from .observer import Observer, plenty
 TOPIC, COUNT = "joint_states", 5
 
 
-def test_the_executor_leaves_data_alone() -> None:
+class Hearing:
+    """Inputs of a node, and publishers that they know."""
+
+    def __init__(self, observer: Observer) -> None:
+        self.observer, self.ledger, self.taken = observer, Ledger(), list[Received]()
+        self.inputs = Inputs(observer.node, self.ledger)
+
+    def publisher(self, kind: type, topic: str, listeners: int = 1) -> Publisher:
+        publisher = self.observer.node.create_publisher(kind, topic, plenty())
+        self.observer.wait_for(lambda: publisher.get_subscription_count() == listeners, "the subscription")
+        return publisher
+
+    def takes(self, count: int, topic: str | None = None) -> None:
+        """Wait until so many messages have been taken, of all topics or of one that is looked at alone."""
+        take = self.inputs.poll if topic is None else partial(self.inputs.poll, topic)
+        self.observer.wait_for(lambda: self.taken.extend(take()) or len(self.taken) == count, "what waits")
+
+
+@pytest.fixture
+def hearing() -> Iterator[Hearing]:
     with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
-        begin = time.perf_counter()
-        inputs = Inputs(observer.node, Ledger())
-        inputs.subscribe_data(JointState, TOPIC)
-        heard = observer.collect(JointState, TOPIC)
-        publisher = observer.node.create_publisher(JointState, TOPIC, plenty())
-        observer.wait_for(lambda: publisher.get_subscription_count() == 2, "both subscriptions")
-        sent = [JointState(name=[f"joint{number}"]) for number in range(COUNT)]
-        for message in sent:
-            publisher.publish(message)
-        observer.wait_for(lambda: len(heard) == COUNT, "what another subscription hears")
-        assert heard == sent
-        time.sleep(0.2)
-        asked = time.perf_counter()
-        taken: list[Received] = []
-        observer.wait_for(lambda: taken.extend(inputs.poll()) or len(taken) == COUNT, "what waits")
-        assert [deserialize_message(message.data, JointState) for message in taken] == sent
-        assert all(begin < message.time < asked - 0.1 for message in taken), "when they came, not when they were taken"
+        hearing = Hearing(observer)
+        hearing.inputs.subscribe_data(JointState, TOPIC)
+        yield hearing
 
 
-def test_data_of_several_topics_are_in_the_order_in_which_they_came() -> None:
+def test_the_executor_leaves_data_alone(hearing: Hearing) -> None:
+    begin = time.perf_counter()
+    heard = hearing.observer.collect(JointState, TOPIC)
+    publisher = hearing.publisher(JointState, TOPIC, 2)
+    sent = [JointState(name=[f"joint{number}"]) for number in range(COUNT)]
+    for message in sent:
+        publisher.publish(message)
+    hearing.observer.wait_for(lambda: len(heard) == COUNT, "what another subscription hears")
+    assert heard == sent
+    time.sleep(0.2)
+    asked = time.perf_counter()
+    hearing.takes(COUNT)
+    assert [deserialize_message(message.data, JointState) for message in hearing.taken] == sent
+    assert all(begin < message.time < asked - 0.1 for message in hearing.taken), "when they came, not when taken"
+
+
+def test_data_of_several_topics_are_in_the_order_in_which_they_came(hearing: Hearing) -> None:
     """A clock that is set back is then set back for all of them at once."""
-    with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
-        inputs = Inputs(observer.node, Ledger())
-        inputs.subscribe_data(JointState, TOPIC)
-        inputs.subscribe_data(WrenchStamped, "wrench")
-        states = observer.node.create_publisher(JointState, TOPIC, plenty())
-        wrenches = observer.node.create_publisher(WrenchStamped, "wrench", plenty())
-        publishers = [(states, JointState()), (wrenches, WrenchStamped())]
-        observer.wait_for(lambda: all(p.get_subscription_count() == 1 for p, _ in publishers), "both subscriptions")
-        for publisher, message in publishers * COUNT:
-            publisher.publish(message)
-            time.sleep(0.02)
-        taken: list[Received] = []
-        observer.wait_for(lambda: taken.extend(inputs.poll()) or len(taken) == 2 * COUNT, "what waits")
-        assert [message.topic for message in taken] == [TOPIC, "wrench"] * COUNT
+    hearing.inputs.subscribe_data(WrenchStamped, "wrench")
+    publishers = [
+        (hearing.publisher(type(message), topic), message)
+        for topic, message in ((TOPIC, JointState()), ("wrench", WrenchStamped()))
+    ]
+    for publisher, message in publishers * COUNT:
+        publisher.publish(message)
+        time.sleep(0.02)
+    hearing.takes(2 * COUNT)
+    assert [message.topic for message in hearing.taken] == [TOPIC, "wrench"] * COUNT
 
 
-def test_a_topic_keeps_its_order_though_the_wall_clock_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_topic_keeps_its_order_though_the_wall_clock_is_set(
+    hearing: Hearing, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where it is looked at alone; what came on others waits."""
-    with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
-        inputs, real = Inputs(observer.node, Ledger()), time.time
-        inputs.subscribe_data(JointState, TOPIC)
-        inputs.subscribe_data(WrenchStamped, "wrench")
-        states = observer.node.create_publisher(JointState, TOPIC, plenty())
-        wrenches = observer.node.create_publisher(WrenchStamped, "wrench", plenty())
-        observer.wait_for(lambda: all(p.get_subscription_count() == 1 for p in (states, wrenches)), "subscriptions")
-        wrenches.publish(WrenchStamped())
-        taken: list[Received] = []
-
-        def looked(topic: str | None, count: int) -> bool:
-            taken.extend(inputs.poll(topic))
-            return len(taken) == count
-
-        for count, set_by in enumerate((0.0, 1000.0, -1000.0), 1):
-            monkeypatch.setattr(time, "time", lambda ahead=set_by: real() + ahead)
-            states.publish(JointState())
-            observer.wait_for(partial(looked, TOPIC, count), "what waits")
-        assert taken == sorted(taken, key=lambda message: message.time)
-        assert taken[-1].time <= time.perf_counter()
-        observer.wait_for(partial(looked, None, 4), "the other topic")
-        assert [message.topic for message in taken] == [TOPIC, TOPIC, TOPIC, "wrench"]
+    real = time.time
+    hearing.inputs.subscribe_data(WrenchStamped, "wrench")
+    states, wrenches = hearing.publisher(JointState, TOPIC), hearing.publisher(WrenchStamped, "wrench")
+    wrenches.publish(WrenchStamped())
+    for count, set_by in enumerate((0.0, 1000.0, -1000.0), 1):
+        monkeypatch.setattr(time, "time", lambda ahead=set_by: real() + ahead)
+        states.publish(JointState())
+        hearing.takes(count, TOPIC)
+    assert hearing.taken == sorted(hearing.taken, key=lambda message: message.time)
+    assert hearing.taken[-1].time <= time.perf_counter()
+    hearing.takes(4)
+    assert [message.topic for message in hearing.taken] == [TOPIC, TOPIC, TOPIC, "wrench"]
 
 
-def test_every_message_is_taken_lost_or_dropped() -> None:
+def test_every_message_is_taken_lost_or_dropped(hearing: Hearing) -> None:
     """More than the queue holds, and one more publisher than there may be."""
-    with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
-        ledger = Ledger()
-        inputs = Inputs(observer.node, ledger)
-        inputs.subscribe_data(JointState, TOPIC)
-        publisher = observer.node.create_publisher(JointState, TOPIC, plenty())
-        observer.wait_for(lambda: publisher.get_subscription_count() == 1, "the subscription")
-        taken: list[Received] = []
+    publisher, sent = hearing.publisher(JointState, TOPIC), 0
 
-        def counted(sent: int) -> bool:
-            taken.extend(inputs.poll())
-            account = ledger.topics.get(TOPIC, Account())
-            return len(taken) + account.lost + account.dropped.total() == sent
+    def counted() -> bool:
+        hearing.taken.extend(hearing.inputs.poll())
+        account = hearing.ledger.topics.get(TOPIC, Account())
+        return len(hearing.taken) + account.lost + account.dropped.total() == sent
 
-        publisher.publish(JointState())
-        observer.wait_for(lambda: counted(1), "the first message")
-        for _ in range(1500):
+    for count in (1, 1500, 1, 3):
+        if count == 3:
+            before = len(hearing.taken)
+            hearing.publisher(JointState, TOPIC)
+        for _ in range(count):
             publisher.publish(JointState())
-        observer.wait_for(lambda: counted(1501), "all messages")
-        assert ledger.topics[TOPIC].lost > 0
-        publisher.publish(JointState())
-        observer.wait_for(lambda: counted(1502), "one more")
-        before = len(taken)
-        other = observer.node.create_publisher(JointState, TOPIC, plenty())
-        observer.wait_for(lambda: other.get_subscription_count() == 1, "the subscription")
-        for _ in range(3):
-            publisher.publish(JointState())
-        observer.wait_for(lambda: counted(1505), "what is dropped")
-        assert ledger.topics[TOPIC].dropped == {"several publishers": 3}
-        assert len(taken) == before
+        sent += count
+        hearing.observer.wait_for(counted, "all messages")
+    assert hearing.ledger.topics[TOPIC].lost > 0
+    assert hearing.ledger.topics[TOPIC].dropped == {"several publishers": 3}
+    assert len(hearing.taken) == before
 
 
 @pytest.mark.parametrize("joints", [("a",), ("ab",), ("joint1", "j2", "joint_33"), tuple(f"j{n}" for n in range(30))])

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
-from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,34 +21,28 @@ from geomid_ros.model.robot import Robot
 
 from .observer import latched
 from .stage import WRIST as WRIST_PARAMETERS
-from .stage import Stage, description, messages, staged
+from .stage import description, messages, staged
 
 ROBOT = "arm3"
 SAME = 1e-6  # relative: what is identified live and from the bag
 RATE = 1.0  # as a robot sends: the first estimate comes while there are data left to predict
 
 
-@dataclass
-class Live:
-    """A whole run: what was heard, saved, and identified from the bag itself."""
+TOPICS: dict[str, tuple[type, str]] = {
+    "predicted": (JointState, "/geomid/predicted_joint_states"),
+    "deviations": (JointState, "/geomid/predicted_efforts_std"),
+    "streamed": (JointState, "/geomid/streamed_joint_states"),
+    "diagnostics": (DiagnosticArray, "/diagnostics"),
+}
+KEPT: dict[str, tuple[type, str]] = {  # for those who come late
+    "inertias": (InertiaStamped, "/geomid/inertias"),
+    "descriptions": (String, "/geomid/robot_description"),
+    "markers": (MarkerArray, "/geomid/markers"),
+}
 
-    robot: str
-    offline: dict[str, Any]
-    saved: dict[str, Any] = field(default_factory=dict)
-    urdf: str = ""
-    answer: tuple[bool, str] = (False, "")
-    predicted: list[JointState] = field(default_factory=list)
-    deviations: list[JointState] = field(default_factory=list)
-    streamed: list[JointState] = field(default_factory=list)
-    diagnostics: list[DiagnosticArray] = field(default_factory=list)
-    inertias: list[InertiaStamped] = field(default_factory=list)
-    descriptions: list[String] = field(default_factory=list)
-    markers: list[MarkerArray] = field(default_factory=list)
-    late_inertias: list[InertiaStamped] = field(default_factory=list)
-    late_descriptions: list[String] = field(default_factory=list)
-    late_markers: list[MarkerArray] = field(default_factory=list)
-    status: int = -1
-    saved_at_end: dict[str, Any] = field(default_factory=dict)
+
+class Live(SimpleNamespace):
+    """A whole run: what was heard, ``saved``, also ``saved_at_end``, and identified ``offline``, from the bag."""
 
     @property
     def links(self) -> list[str]:
@@ -65,37 +58,26 @@ class Live:
 def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
     """The shipped bag of a robot, played into a node that knows only the nominal URDF and the wrist's sensor."""
     folder = tmp_path_factory.mktemp("live")
+    out = folder / "out"
     command = identify(ROBOT, *WRIST, "--hold-out", "0", "--json", "--out", folder / "offline")
-    run = Live(ROBOT, json.loads(done(*command)))
+    run = Live(offline=json.loads(done(*command)))
     with staged(folder) as stage:
-        perform(stage, run, folder / "out")
+        parameters = {"robot_description": description(ROBOT), "output_folder": str(out), "solve_period": 2.0}
+        node, observer = stage.node({**parameters, **WRIST_PARAMETERS}), stage.observer
+        heard = {name: observer.collect(*topic) for name, topic in TOPICS.items()}
+        heard |= {name: observer.collect(*topic, latched()) for name, topic in KEPT.items()}
+        stage.spin_while(stage.play(BAGS / ROBOT, RATE, "--topic", "/wrench"))
+        run.answer = observer.trigger("/geomid/save")
+        run.saved, run.urdf = json.loads((out / "estimate.json").read_text()), read_urdf(out / "identified.urdf")
+        late = {f"late_{name}": observer.collect(*topic, latched()) for name, topic in KEPT.items()}
+        vars(run).update(heard, **late)
+        count = len(messages(ROBOT)) // 2
+        stage.fed({"joint_states": count, "/wrench": count})
+        observer.wait_for(lambda: has_come(run), "what was saved, on all topics")
+        observer.diagnostics(lambda _, status: status.message.startswith("no messages"), "silence")
+        run.status = node.end()
+        run.saved_at_end = json.loads((out / "estimate.json").read_text())
     return run
-
-
-def perform(stage: Stage, run: Live, out: Path) -> None:
-    parameters = {"robot_description": description(run.robot), "output_folder": str(out), "solve_period": 2.0}
-    node = stage.node({**parameters, **WRIST_PARAMETERS})
-    observer = stage.observer
-    run.predicted = observer.collect(JointState, "/geomid/predicted_joint_states")
-    run.deviations = observer.collect(JointState, "/geomid/predicted_efforts_std")
-    run.streamed = observer.collect(JointState, "/geomid/streamed_joint_states")
-    run.diagnostics = observer.collect(DiagnosticArray, "/diagnostics")
-    run.inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())
-    run.descriptions = observer.collect(String, "/geomid/robot_description", latched())
-    run.markers = observer.collect(MarkerArray, "/geomid/markers", latched())
-    stage.spin_while(stage.play(BAGS / run.robot, RATE, "--topic", "/wrench"))
-    run.answer = observer.trigger("/geomid/save")
-    run.saved = json.loads((out / "estimate.json").read_text())
-    run.urdf = read_urdf(out / "identified.urdf")
-    run.late_inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())
-    run.late_descriptions = observer.collect(String, "/geomid/robot_description", latched())
-    run.late_markers = observer.collect(MarkerArray, "/geomid/markers", latched())
-    count = len(messages(run.robot)) // 2
-    stage.fed({"joint_states": count, "/wrench": count})
-    observer.wait_for(lambda: has_come(run), "what was saved, on all topics")
-    observer.diagnostics(lambda _, status: status.message.startswith("no messages"), "silence")
-    run.status = node.end()
-    run.saved_at_end = json.loads((out / "estimate.json").read_text())
 
 
 def has_come(run: Live) -> bool:
@@ -110,7 +92,7 @@ def has_come(run: Live) -> bool:
 
 
 def test_every_message_is_received_and_accepted(live: Live) -> None:
-    count = str(len(messages(live.robot)) // 2)
+    count = str(len(messages(ROBOT)) // 2)
     for topic in ("joint_states", "/wrench"):
         assert live.stream[f"{topic} received"] == live.stream[f"{topic} accepted"] == count
     assert not [key for key in live.stream if "rejected" in key or "dropped" in key]
@@ -179,14 +161,14 @@ def test_predicted_efforts_are_stamped_and_sized_as_the_data(topic: str, live: L
     predicted: list[JointState] = getattr(live, topic)
     measured = {
         item.message.header.stamp.sec * 10**9 + item.message.header.stamp.nanosec: item.message
-        for item in messages(live.robot)
+        for item in messages(ROBOT)
         if item.topic == "/joint_states"
     }
     stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in predicted]
     assert len(stamps) > 10
     assert stamps == sorted(set(stamps))
     assert set(stamps) <= set(measured)
-    joints = list(Robot(description(live.robot)).joint_names)
+    joints = list(Robot(description(ROBOT)).joint_names)
     errors, efforts = [], []
     for stamp, message in zip(stamps, predicted, strict=True):
         assert list(message.name) == joints

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -35,36 +36,42 @@ def sensor(**described: Any) -> dict[str, Any]:
     return {"wrenches": ["ft"], "wrench": {"ft": described}}
 
 
-# Parameters and what the one message must hold.
-REFUSED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
-    "unknown": ({"gama": 0.5}, ("unknown parameter 'gama'", "Did you mean 'gamma'", "solve_period")),
-    "empty list": ({"links": []}, ('an empty list is written as [""]',)),
-    "topic": (sensor(frame="tool", topic="not a topic"), ("not a topic", "Invalid topic")),
-    "model": ({"model": "/nowhere.json"}, ("/nowhere.json: the model cannot be read",)),
-    "frame": ({**sensor(frame="hand"), "robot_description": ARM3}, ("unknown link 'hand'", "wrist_ft")),
+NODE, RELAY = "geomid_ros.ros.main", "geomid_ros.ros.feedforward"
+HEAVIEST = {"urdf": str(BAGS / "arm3.urdf"), "heaviest_payload": 2.0}
+# A program, its parameters and what the one message must hold.
+REFUSED: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
+    "unknown": (NODE, {"gama": 0.5}, ("unknown parameter 'gama'", "Did you mean 'gamma'", "solve_period")),
+    "empty list": (NODE, {"links": []}, ('an empty list is written as [""]',)),
+    "topic": (NODE, sensor(frame="tool", topic="not a topic"), ("not a topic", "Invalid topic")),
+    "model": (NODE, {"model": "/nowhere.json"}, ("/nowhere.json: the model cannot be read",)),
+    "frame": (NODE, {**sensor(frame="hand"), "robot_description": ARM3}, ("unknown link 'hand'", "wrist_ft")),
+    "no robot": (RELAY, {}, ("no robot is given",)),
+    "type": (RELAY, {"tolerance": "x"}, ("tolerance is 'x', expected a number",)),
+    "tolerance": (RELAY, {"tolerance": 0}, ("tolerance is 0, expected 0 < tolerance < 1",)),
+    "name": (RELAY, {**HEAVIEST, "controller": "bad-name"}, ("controller: not a name in ROS",)),
+    "misspelt": (RELAY, {"heaviest_paylod": 2.0}, ("Did you mean 'heaviest_payload'",)),
+    "no value": (RELAY, {"model": []}, ("a parameter has no value",)),
+    "payload": (RELAY, {**HEAVIEST, "heaviest_payload": np.nan}, ("heaviest_payload is nan, expected a number",)),
+    "link": (RELAY, {**HEAVIEST, "link": "hand"}, ("unknown link 'hand'",)),
 }
 # Arguments that are not for ROS, of either program.
-ARGUMENTS = (
-    ("geomid_ros.ros.main", "--params-file x.yaml"),
-    ("geomid_ros.ros.main", "--help"),
-    ("geomid_ros.ros.feedforward", "--model estimate.json"),
-)
+ARGUMENTS = ((NODE, "--params-file x.yaml"), (NODE, "--help"), (RELAY, "--model estimate.json"))
 
 
 def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
     """Status 2, what is wrong, what would be right. All at once: starting takes its time."""
     started: dict[str, Process] = {}
-    for case, (parameters, _) in REFUSED.items():
-        started[case] = stage.node(parameters, ready=False, fresh=not started)
-    missing = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", stage.folder / "nowhere.yaml")
+    for case, (module, parameters, _) in REFUSED.items():
+        started[case] = stage.node(parameters, module=module, ready=False, fresh=not started)
+    missing = stage.start(NODE, "--ros-args", "--params-file", stage.folder / "nowhere.yaml")
     others = {
         argument: stage.start(module, *argument.split(), "--ros-args", "-p", "use_sim_time:=false")
         for module, argument in ARGUMENTS
     }
-    for case, (_, parts) in REFUSED.items():
+    for case, (_, _, parts) in REFUSED.items():
         process = started[case]
         assert process.status() == 2, f"{case}: {process.output}"
-        (line,) = [line for line in process.output.splitlines() if line.startswith("geomid_node: ")]
+        (line,) = [line for line in process.output.splitlines() if re.match("geomid_(node|feedforward): ", line)]
         for part in parts:
             assert part in line, f"{case}: {line}"
     assert missing.status() == 2

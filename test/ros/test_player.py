@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from files.recordings import BAGS, TYPES, Recorded, recorded, write_bag
+from files.recordings import BAGS, Recorded, made, recorded, write_bag
 from geometry_msgs.msg import Twist, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -42,8 +42,7 @@ def with_commands(folder: Path) -> tuple[Path, int]:
     """A second of the small arm with commands beside it, and the number of its joint messages."""
     items = [item for item in recorded(BAGS / "arm3")[:301] if item.kind != "std_msgs/msg/String"]
     states = [item for item in items if item.topic == "/joint_states"]
-    zero = TYPES.types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
-    twist = TYPES.types["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
+    twist = made("geometry_msgs/msg/Twist")
     items += [replace(item, topic="/joint_commands") for item in states]
     items += [replace(item, topic="/cell/joint_states") for item in states]
     items += [replace(item, topic="/my_joint_states") for item in states]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -13,6 +14,7 @@ ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_p
 MESSAGES = messages()
 HALF = len(MESSAGES) // 2
 EACH = HALF // 2  # messages of either topic in half of the bag
+NOTHING = (False, "no usable rows: nothing was measured, or the robot never moved")
 
 
 def stopped(values: dict[str, str]) -> int:
@@ -20,13 +22,14 @@ def stopped(values: dict[str, str]) -> int:
     return sum(int(values.get(f"{topic} dropped: stopped", "0")) for topic in ("joint_states", "/wrench"))
 
 
-def test_stopped_messages_are_counted_and_cost_nothing(stage: Stage, tmp_path: Path) -> None:
-    stage.node({**ARM3, "active": False, "output_folder": str(tmp_path / "out")})
-    observer = stage.observer
+def test_stopped_messages_are_counted_and_cost_nothing(stage: Stage) -> None:
+    """Without a folder results are saved where the node was started. A reset forgets, whatever is being solved for."""
+    stage.node({**ARM3, "active": False})
+    observer, folder = stage.observer, stage.folder / "process0"
     observer.publish(MESSAGES[:HALF], KINDS)
     array = observer.diagnostics(lambda values, _: stopped(values) == HALF, "dropped messages")
     assert (array.status[0].level, array.status[0].message) == (DiagnosticStatus.OK, "stopped")
-    assert observer.trigger("/geomid/save") == (False, "no usable rows: nothing was measured, or the robot never moved")
+    assert observer.trigger("/geomid/save") == NOTHING
     assert observer.trigger("/geomid/start") == (True, "identifying")
     observer.publish(MESSAGES[HALF:], KINDS)
     stage.fed({"joint_states": 2 * EACH, "/wrench": 2 * EACH})
@@ -35,42 +38,32 @@ def test_stopped_messages_are_counted_and_cost_nothing(stage: Stage, tmp_path: P
     array = observer.diagnostics(lambda values, _: stopped(values) == HALF + 10, "more dropped messages")
     values = {pair.key: pair.value for pair in array.status[0].values}
     assert values["joint_states accepted"] == str(EACH)
-    assert observer.trigger("/geomid/save")[0], "what was identified before is kept"
-    rows = json.loads((tmp_path / "out/estimate.json").read_text())["rows"]["accepted"]
-    assert rows == int(values["rows"]) > 0
-
-
-def test_reset_forgets(stage: Stage) -> None:
-    """Whenever it comes: an estimate that is being solved for is forgotten too. Without a folder it is saved where the
-    node was started."""
-    stage.node(ARM3)
-    observer = stage.observer
-    observer.publish(MESSAGES[:HALF], KINDS)
-    stage.fed({"joint_states": EACH, "/wrench": EACH})
     success, message = observer.trigger("/geomid/save")
-    assert success, message
-    written = {path.name: path for path in stage.folder.glob("process0/*")}
-    assert written.keys() == {"estimate.json", "identified.urdf", "posterior.npz"}
-    assert all(str(path) in message for path in written.values())
-    before = json.loads(written["estimate.json"].read_text())["rows"]["accepted"]
+    assert success, "what was identified before is kept"
+    assert {path.name for path in folder.iterdir()} == {"estimate.json", "identified.urdf", "posterior.npz"}
+    assert all(str(path) in message for path in folder.iterdir())
+    before = json.loads((folder / "estimate.json").read_text())["rows"]["accepted"]
+    assert before == int(values["rows"]) > 0
     assert observer.trigger("/geomid/reset") == (True, "all rows discarded")
-    success, reason = observer.trigger("/geomid/save")
-    assert not success
-    assert "no usable rows" in reason
+    assert observer.trigger("/geomid/save") == NOTHING
     for _ in range(2):
         array = observer.diagnostics(lambda values, _: values["rows"] == "0", "no rows")
         assert [status.name for status in array.status] == ["geomid: stream"]
+    assert observer.trigger("/geomid/start")[0]
     observer.publish(MESSAGES[HALF : HALF + HALF // 2], KINDS)
-    stage.fed({"joint_states": EACH + EACH // 2, "/wrench": EACH + EACH // 2})
+    stage.fed({"joint_states": 2 * EACH + EACH // 2 + 5, "/wrench": 2 * EACH + EACH // 2 + 5})
     assert observer.trigger("/geomid/save")[0]
-    after = json.loads(written["estimate.json"].read_text())["rows"]["accepted"]
-    assert 0 < after < 0.7 * before
+    assert 0 < json.loads((folder / "estimate.json").read_text())["rows"]["accepted"] < 0.7 * before
 
 
-def test_services_without_a_robot_say_what_is_missing(stage: Stage) -> None:
-    node = stage.node()
+def test_services_without_a_robot_say_what_is_missing(stage: Stage, tmp_path: Path) -> None:
+    """Nor is anything saved in the end, with a robot of which nothing was heard either."""
+    out = {"output_folder": str(tmp_path / "out")}
+    node = stage.node(out)
+    silent = stage.node({**ARM3, **out}, "-r", "__ns:=/b", name="b/geomid")
     for service in ("reset", "save"):
         assert stage.observer.trigger(f"/geomid/{service}") == (False, "no robot description yet")
     assert stage.observer.trigger("/geomid/stop")[0]
     assert stage.observer.trigger("/geomid/start")[0]
-    assert node.end() == 0
+    assert (node.end(signal.SIGTERM), silent.end(signal.SIGINT)) == (0, 0)
+    assert not (tmp_path / "out").exists()

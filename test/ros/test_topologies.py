@@ -51,7 +51,7 @@ class Setup:
         self._namespace = namespace
         self._out = stage.folder / "out"
         namespaced = ("-r", f"__ns:={namespace}") if namespace else ()
-        chosen = ("-p", 'candidates:=[""]')  # as NO_CHOICE
+        chosen = ("-p", 'candidates:=[""]', "-p", "solve_period:=3600.0")  # as NO_CHOICE, and once, when it is saved
         given = ("-p", f"output_folder:={self._out}", *chosen, *namespaced, *arguments)
         self.node: Process = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", config, *map(str, given))
         stage.serving(self.node, self.name)
@@ -217,7 +217,7 @@ def test_a_quadruped(stage: Stage) -> None:
 def test_a_quadruped_without_force_sensors(stage: Stage) -> None:
     """An IMU in place of the odometry, and the efforts of the legs in place of sensors under the feet."""
     text = urdf("go2.urdf")
-    robot = InMotion(text, duration=12.0, rate=100.0, seed=1, floating_base=True)
+    robot = InMotion(text, duration=8.0, rate=100.0, seed=1, floating_base=True)
     feet = ["FL_foot", "FR_foot", "RL_foot", "RR_foot"]
     states = robot.joint_states(noisy(robot.efforts(robot.on_feet(feet)), 0.1, seed=9))
     setup = Setup(stage, CONFIG / "quadruped.yaml", text, "-p", f"contacts:={json.dumps(feet)}")
