@@ -55,11 +55,6 @@ class CoefficientRows:
         unknowns = [len(np.intersect1d(channel.columns, required)) for channel in channels]
         return len(required) < self.size and bool(np.any(self.counts[self.fast] > unknowns))
 
-    @property
-    def columns(self) -> range:
-        """Columns of the coefficients."""
-        return range(self.first_column, self.size)
-
     def coefficient(self, column: int) -> Coefficient:
         """Coefficient of a column."""
         return self.problem.model.coefficients[column - self.first_column]
@@ -78,25 +73,29 @@ class CoefficientRows:
         return required_columns(self.problem.model)
 
     @cached_property
-    def required_mechanisms(self) -> list[Mechanism]:
-        """Mechanisms that are never left out."""
-        return self.mechanisms(self.required_columns)
-
-    @cached_property
     def shapes(self) -> dict[Mechanism, list[int]]:
         """Columns of each mechanism, in the order of its constant."""
         columns_of: dict[Mechanism, list[int]] = {}
-        for column in self.columns:
+        for column in range(self.first_column, self.size):
             columns_of.setdefault(self.mechanism(column), []).append(column)
         for columns in columns_of.values():
             columns.sort(key=lambda column: [*vars(self.coefficient(column).effect).values()])
         return columns_of
 
     @cached_property
+    def mechanism_numbers(self) -> IntArray:
+        """Number ``(D,)`` of each parameter; shapes of one mechanism have the same."""
+        numbers = np.arange(self.size)
+        for columns in self.shapes.values():
+            numbers[columns] = columns[0]
+        return numbers
+
+    @cached_property
     def optional(self) -> list[int]:
         """Columns of the optional coefficients that these rows decide on."""
-        required = set(self.required_mechanisms)
-        columns = [column for column in self.columns if self.mechanism(column) not in required]
+        required = set(self.mechanisms(self.required_columns))
+        every = range(self.first_column, self.size)
+        columns = [column for column in every if self.mechanism(column) not in required]
         return [column for column in columns if self.coefficient(column).effect.depends_on_past or not self.at_rest]
 
     def candidates(self, columns: IntArray, refused: Collection[Mechanism]) -> IntArray:
@@ -179,7 +178,7 @@ class CoefficientRows:
         manifold, prior = self._prior(problem.scales[columns[columns >= self.first_column] - self.first_column])
         links, point, prior_stds = manifold.inertial, prior, default
         if start is not None:
-            point, prior_stds = manifold.point(start.parameters[columns]), start.fit.scales
+            point, prior_stds = manifold.point(start.in_any_shape[columns]), start.fit.scales
         selected = np.append(columns, self.size)
         products = self.known_products.take(selected, 0).take(selected, 1)
         profile = Profile(manifold, self.products.select(columns), self.counts, prior, self.floors)
@@ -213,6 +212,12 @@ class CoefficientFit:
         return full
 
     @property
+    def in_any_shape(self) -> FloatArray:
+        """All parameters ``(D,)``; a coefficient in another shape is that in the fitted shape."""
+        numbers = self.rows.mechanism_numbers
+        return np.asarray(np.bincount(numbers, self.parameters)[numbers], dtype=np.float64)
+
+    @property
     def all_columns(self) -> IntArray:
         """Columns, including those fixed at zero."""
         return np.union1d(self.columns, self.zero_columns)
@@ -225,7 +230,8 @@ class CoefficientFit:
     @property
     def needlessly_zero(self) -> IntArray:
         """Columns fixed at zero that would improve the fit."""
-        return self.zero_columns[self.gains(self.zero_columns) > 0.0]
+        zero = self.zero_columns
+        return zero[self.gains(zero) > 0.0] if len(zero) else zero
 
     @cached_property
     def with_default_priors(self) -> CoefficientFit:
@@ -250,14 +256,14 @@ class CoefficientFit:
     def is_plausible(self) -> BoolArray:
         """True for each of the :attr:`chosen_columns` that is in its range, and whose effect does what it stands for
         given the others at its place."""
-        sizes = self.parameters
-        peers: dict[Place, dict[Effect, float]] = {}
-        for column in self.all_columns[self.all_columns >= self.rows.first_column].tolist():
+        chosen, sizes = [(column, self.rows.coefficient(column)) for column in self.chosen_columns], self.parameters
+        peers: dict[Place, dict[Effect, float]] = {c.place: {} for _, c in chosen}
+        for column in self.all_columns[self.all_columns >= self.rows.first_column] if chosen else ():
             coefficient = self.rows.coefficient(column)
-            peers.setdefault(coefficient.place, {})[coefficient.effect] = float(sizes[column])
-        pairs = [(column, self.rows.coefficient(column)) for column in self.chosen_columns.tolist()]
+            if coefficient.place in peers:
+                peers[coefficient.place][coefficient.effect] = float(sizes[column])
         return np.array(
-            [self.rows.allows(column, sizes[column]) and c.effect.is_supported(peers[c.place]) for column, c in pairs],
+            [self.rows.allows(column, sizes[column]) and c.effect.is_supported(peers[c.place]) for column, c in chosen],
             dtype=np.bool_,
         )
 
@@ -313,16 +319,11 @@ class CoefficientFit:
         """Increase of twice the log-likelihood by each of other ``columns``, by the score test; zero for a coefficient
         that would be negative and cannot be."""
         products = self.rows.products.some(columns, self.weights)
-        values = -products @ self._vector
-        hessian, gains = self.fit.hessian, np.zeros(len(columns))
-        allowed = np.flatnonzero((values >= 0.0) | ~self.rows.positive[columns])
-        if len(allowed):
-            shared = self.fit.objective.manifold.whiten(self.fit.point, products[allowed[:, None], self.columns])
-            squares, explained = products[allowed, columns[allowed]], spd.solve_or_least_squares(hessian, shared.T)
-            unexplained = squares - np.sum(shared.T * explained, axis=0)
-            independent = unexplained > ROUNDING * squares
-            gains[allowed] = np.where(independent, values[allowed] ** 2 / np.where(independent, unexplained, 1.0), 0.0)
-        return gains
+        values, squares = -products @ self._vector, products[np.arange(len(columns)), columns]
+        shared = self.fit.objective.manifold.whiten(self.fit.point, products[:, self.columns])
+        unexplained = squares - np.sum(shared.T * spd.solve_or_least_squares(self.fit.hessian, shared.T), axis=0)
+        useful = ((values >= 0.0) | ~self.rows.positive[columns]) & (unexplained > ROUNDING * squares)
+        return np.asarray(np.where(useful, values**2 / np.where(useful, unexplained, 1.0), 0.0))
 
     def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
         """Factors by which the variances of coefficients exceed those for independent residuals, from what each fold

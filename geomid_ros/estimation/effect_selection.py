@@ -92,16 +92,19 @@ def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
     """Give every effect of ``joints`` its most likely shape, one effect after the other."""
     rows = fit.rows
     for mechanism in rows.mechanisms(fit.all_columns):
-        if set(joints).intersection(joints_of(mechanism[1])):
-            fit = _best_shape(fit, rows.shapes[mechanism])
+        shapes = rows.shapes[mechanism]
+        if len(shapes) > 1 and set(joints).intersection(joints_of(mechanism[1])):
+            fit = _best_shape(fit, shapes)
     return rows.fit(fit.all_columns, fit)
 
 
 def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
     """Give one effect its most likely shape among the columns ``shapes`` in which all effects are plausible."""
     others = np.setdiff1d(fit.all_columns, shapes)
-    absent = [shape for shape in shapes if shape not in fit.all_columns]
-    tried = [fit.rows.fit(np.sort(np.append(others, shape)), fit, prior_stds=fit.fit.scales) for shape in absent]
+    tried = [
+        fit.rows.fit(np.sort(np.append(others, shape)), fit, prior_stds=fit.fit.scales)
+        for shape in np.setdiff1d(shapes, fit.all_columns)
+    ]
     plausible = [shaped for shaped in tried if np.all(shaped.is_plausible)]
     return min([fit, *plausible], key=lambda shaped: shaped.score)
 

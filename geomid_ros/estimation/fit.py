@@ -10,8 +10,9 @@ likelihood in Laplace's approximation.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -30,8 +31,7 @@ CERTAINTY = 20.0
 INDEPENDENT_ROWS_PER_PERIOD = 2.67
 """Independent rows per period of the filter's cutoff; the filter passes nothing above 1.5 times the cutoff."""
 _BUDGET = 3  # times max_steps, for all rounds together: five times what measured robots need
-_SETTLED = 1e-7  # relative change of noise and prior std, which falls to about a third in a round
-_SETTLED_WARM = 1e-8  # the same for a warm start: its rounds are extrapolated, so that few more are needed
+_SETTLED = 1e-8  # change of logarithms of noise and prior stds in a round
 
 
 def reestimated_prior_stds(
@@ -65,7 +65,7 @@ class Fit:
         search_point: end of the search, which uses products of the rows.
         sigmas: standard deviations ``(groups,)``.
         prior_stds: prior std of each link ``(links,)``, geodesic distances.
-        budget_exhausted: True if the search ended because the budget of steps was used up.
+        budget_exhausted: True if the search ended before it settled, because its steps or rounds were used up.
         tolerance, max_steps: see :func:`fit`.
     """
 
@@ -142,6 +142,18 @@ class Fit:
         return likelihood + volume - widths + prior_std_cost(self.prior_stds, problem.default_stds)
 
 
+class Coupling(Protocol):
+    """Determines the problem of each round of a fit by a ``state (n,)``."""
+
+    state: FloatArray
+
+    def next_state(self, found: Fit) -> FloatArray:
+        """State ``(n,)`` that follows from the fit so far."""
+
+    def problem_in(self, state: FloatArray, point: Point) -> tuple[Problem, Point]:
+        """Take this state. Return the problem in it, and the point nearby from which to solve it."""
+
+
 def fit(
     problem: Problem,
     start: Point | None = None,
@@ -149,6 +161,7 @@ def fit(
     *,
     tolerance: float,
     max_steps: int,
+    coupling: Coupling | None = None,
 ) -> Fit:
     """Fit all parameters, the noise of each group and the prior std of each link.
 
@@ -158,38 +171,46 @@ def fit(
         prior_stds: prior std of the links to start with; the default ones unless given.
         tolerance: largest geodesic distance of the result from the minimum.
         max_steps: largest number of solver steps per round, in which noise and prior std are fixed.
+        coupling: determines the problem of all rounds but the first; the same problem unless given.
     """
     point = start or problem.prior_point
     prior_stds = problem.default_stds if prior_stds is None or problem.gamma is not None else prior_stds
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     # Near its fixed point the iteration is linear: it can be extrapolated, and one solver step per round is enough.
-    extrapolation, steps_per_round = (None, max_steps) if start is None else (Extrapolation(), 1)
-    steps, spent, within = 0, False, _SETTLED if start is None else _SETTLED_WARM
+    extrapolation, steps = None if start is None else Extrapolation(), 0
     for _ in range(ROUNDS):
         rough = _rough(problem, sigmas, prior_stds)
-        solution = trust_region(rough, point, _gradient(rough, tolerance), steps_per_round)
+        solution = trust_region(rough, point, _gradient(rough, tolerance), max_steps if extrapolation is None else 1)
         point, steps = solution.point, steps + solution.steps
         before = np.log(np.concatenate([sigmas, prior_stds]))
         sigmas = problem.noise(point.parameters)
         if problem.gamma is None:
             prior_stds = _spreads(problem, rough, solution)
-        after = np.log(np.concatenate([sigmas, prior_stds]))
-        if np.all(np.abs(after - before) < within):
-            break
-        spent = steps > _BUDGET * max_steps
-        if spent:
+        found = Fit(
+            problem=problem,
+            search_point=point,
+            sigmas=sigmas,
+            prior_stds=prior_stds,
+            budget_exhausted=True,
+            tolerance=tolerance,
+            max_steps=max_steps,
+        )
+        after, size = np.log(np.concatenate([sigmas, prior_stds])), len(before)
+        if coupling is not None:
+            before, after = np.append(before, coupling.state), np.append(after, coupling.next_state(found))
+        moves = np.abs(after - before)
+        if steps > _BUDGET * max_steps:
             break
         if extrapolation is not None:
-            sigmas, prior_stds = np.split(np.exp(extrapolation.next(before, after)), [len(sigmas)])
-    return Fit(
-        problem=problem,
-        search_point=point,
-        sigmas=sigmas,
-        prior_stds=prior_stds,
-        budget_exhausted=spent,
-        tolerance=tolerance,
-        max_steps=max_steps,
-    )
+            if np.max(moves[:size]) < _SETTLED and np.max(moves) < SETTLED:
+                return replace(found, budget_exhausted=False)
+            after = extrapolation.next(before, after)
+            sigmas, prior_stds = np.split(np.exp(after[:size]), [len(sigmas)])
+        elif np.max(moves) < SETTLED:
+            extrapolation = Extrapolation()
+        if coupling is not None:
+            problem, point = coupling.problem_in(after[size:], point)
+    return found
 
 
 def with_second_start(solve: Callable[..., Fit], other: Point, prior_stds: FloatArray | None) -> Callable[..., Fit]:

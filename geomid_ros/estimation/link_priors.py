@@ -1,8 +1,8 @@
 """Priors that couple parameters: those of links that are alike, or of the population of the robot's type.
 
-Minus twice the log prior is ``|R t|^2`` with the tangent coordinates t at its mean. It enters the fit as rows,
-linearised where the fit ended, until that point does not move: the minimum is that of the geodesic prior. A block of
-coordinates that contradicts the prior is released from it, by the weight that a t-distribution gives to its distance.
+Minus twice the log prior is ``|R t|^2`` with the tangent coordinates t at its mean. It enters each round of a fit as
+rows, linearised where the last round ended: the minimum is that of the geodesic prior. A block of coordinates that
+contradicts the prior is released from it, by the weight that a t-distribution gives to its distance.
 
 The errors of alike parts have a common part, of the default std s, and an individual part, a fifth of it. With the
 tangent coordinates d_i of n links at their priors, mirrored to those of the first, the covariance of the errors is
@@ -23,11 +23,10 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.fit import CERTAINTY, Fit, prior_std_cost, reestimated_prior_stds
+from geomid_ros.estimation.fit import CERTAINTY, Coupling, Fit, prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import SIZE
@@ -128,6 +127,10 @@ class CoupledPrior(ABC):
     def tangent(self, point: Point) -> FloatArray:
         """Coordinates ``(k,)`` at the mean of a point of the problem's manifold."""
         return self.manifold.log(self.mean, self.manifold.point(point.parameters[self.columns]))
+
+    def state(self, point: Point, weights: Mapping[str, float]) -> FloatArray:
+        """Logarithms of the blocks' weights, then the coordinates of a point of the problem's manifold."""
+        return np.append(np.log([weights[name] for name in self.names]), self.tangent(point))
 
     def problem_at(self, point: Point, weights: Mapping[str, float]) -> Problem:
         """Return the problem with the prior's rows, linearised at ``point``, for these weights of the blocks."""
@@ -299,12 +302,35 @@ def fit_with_coupled_prior(
     """
     given = given and {**prior.trusted, **given}  # blocks that are not given keep their prior
     found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted))
-    weights = given or prior.weights(found, prior.trusted)
-    for _ in range(ROUNDS):
-        point, before = found.search_point, weights
-        found = solve(prior.problem_at(point, weights), start=point, prior_stds=found.prior_stds)
-        weights = given or prior.weights(found, before)
-        change = max(abs(np.log(weights[name] / before[name])) for name in weights)
-        if change < SETTLED and np.max(np.abs(prior.tangent(found.search_point) - prior.tangent(point))) < SETTLED:
-            return found, weights
-    return replace(found, budget_exhausted=True), weights
+    weights, point = given or prior.weights(found, prior.trusted), found.search_point
+    linearised = _Linearised(prior, prior.state(point, weights), weights_given=given is not None)
+    problem = prior.problem_at(point, weights)
+    found = solve(problem, start=point, prior_stds=found.prior_stds, coupling=linearised)
+    return found, linearised.weights
+
+
+@dataclass
+class _Linearised(Coupling):
+    """A prior linearised in a ``state (n,)``: for these logarithms of its blocks' weights, at these coordinates."""
+
+    prior: CoupledPrior
+    state: FloatArray
+    weights_given: bool
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weights of the blocks, at most one."""
+        names = self.prior.names
+        return dict(zip(names, np.exp(np.minimum(self.state[: len(names)], 0.0)).tolist(), strict=True))
+
+    def next_state(self, found: Fit) -> FloatArray:
+        """See :class:`Coupling`."""
+        weights = self.weights if self.weights_given else self.prior.weights(found, self.weights)
+        return self.prior.state(found.search_point, weights)
+
+    def problem_in(self, state: FloatArray, point: Point) -> tuple[Problem, Point]:
+        """See :class:`Coupling`."""
+        self.state, prior, parameters = state, self.prior, point.parameters.copy()
+        parameters[prior.columns] = prior.manifold.exp(prior.mean, state[len(prior.names) :]).parameters
+        moved = prior.problem.manifold.point(parameters)
+        return prior.problem_at(moved, self.weights), moved

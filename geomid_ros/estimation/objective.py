@@ -291,8 +291,7 @@ def _prior_terms(
     return 0.5 * float(weights @ to_prior**2), -weights * to_prior, bends
 
 
-_UNITS = spd.to_matrix(np.eye(spd.SIZE))
-_PRODUCTS = 0.5 * np.einsum("kim,lmj->klij", _UNITS, _UNITS).reshape(spd.SIZE, spd.SIZE, -1)
+_PRODUCTS = 0.5 * np.einsum("kim,lmj->klij", spd.UNITS, spd.UNITS).reshape(spd.SIZE, spd.SIZE, -1)
 _PRODUCTS = (_PRODUCTS + _PRODUCTS.transpose(1, 0, 2)).reshape(-1, _PRODUCTS.shape[-1])
 
 

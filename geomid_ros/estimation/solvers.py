@@ -85,9 +85,8 @@ def trust_region(
     for step in range(max_steps):
         if np.linalg.norm(evaluation.gradient) <= tolerance * scale:
             return Solution(point, evaluation, *_FLAT, step, tuple(values))
-        model = _QuadraticModel(evaluation)
         while True:
-            tangent = model.minimiser(radius)
+            tangent = quadratic_minimiser(evaluation, radius)
             predicted = -(evaluation.gradient @ tangent + 0.5 * tangent @ evaluation.hessian @ tangent)
             length = float(np.linalg.norm(tangent))
             if predicted < least_decrease and length < radius:
@@ -125,53 +124,42 @@ def _tried(objective: Objective, point: Point, evaluation: Evaluation, tangent: 
     return (candidate, trial) if finite else (point, replace(evaluation, value=np.inf))
 
 
-class _QuadraticModel:
-    """Quadratic model ``g . x + x . H x / 2`` at a point, and its minimisers within balls about zero."""
+def quadratic_minimiser(evaluation: Evaluation, radius: float) -> FloatArray:
+    """Minimiser of the quadratic model ``g . x + x . H x / 2`` in a ball about zero.
 
-    def __init__(self, evaluation: Evaluation) -> None:
-        self._gradient = evaluation.gradient
-        self._hessian = evaluation.hessian
-        self._undamped = self._step(0.0)
+    It is ``-(H + mu 1)^-1 g`` with the least mu >= 0 for which ``H + mu 1`` is positive definite and the step fits.
 
-    def minimiser(self, radius: float) -> FloatArray:
-        """``-(H + mu 1)^-1 g`` with the least mu >= 0 for which ``H + mu 1`` is positive definite and the step fits.
+    A step that does not fit without mu ends in the ball's last hundredth, by Newton's iteration for the inverse of its
+    length (Nocedal & Wright, algorithm 4.3) inside a bracket. If the gradient has no part along the eigenvector of the
+    least eigenvalue, it ends at the least mu but for rounding.
 
-        A step that does not fit without mu ends in the ball's last hundredth, by Newton's iteration for the inverse of
-        its length (Nocedal & Wright, algorithm 4.3) inside a bracket. If the gradient has no part along the eigenvector
-        of the least eigenvalue, it ends at the least mu but for rounding.
-
-        Raises:
-            LinAlgError: g or H is not finite.
-        """
-        if not (np.all(np.isfinite(self._gradient)) and np.all(np.isfinite(self._hessian))):
-            raise LinAlgError("the objective's derivatives are not finite")
-        sizes = float(np.linalg.norm(self._hessian)), float(np.linalg.norm(self._gradient)) / radius
-        smallest = _ROUNDING * max(sizes)
-        low, high, damping, trial = 0.0, np.inf, 0.0, self._undamped
-        fitting: FloatArray | None = None
-        while fitting is None or high - max(low, smallest) > ROUNDING * high:
-            length = np.inf if trial is None else float(np.linalg.norm(trial[0]))
-            if trial is not None and length <= radius:
-                high, fitting = damping, trial[0]
-                if damping == 0.0 or not 0.0 < length < _NEARLY * radius:
-                    break
-            else:
-                low = damping
-            if trial is not None:
-                aim = 0.5 * (1.0 + _NEARLY) * radius
-                damping += length**2 / trial[1] * (length / aim - 1.0)
-            if trial is None or not low < damping < high:
-                least = max(low, smallest)
-                damping = float(np.sqrt(least * high)) if fitting is not None else 10.0 * least
-            trial = self._step(damping)
-        return fitting
-
-    def _step(self, damping: float) -> tuple[FloatArray, float] | None:
-        """``x = -(H + damping 1)^-1 g`` and ``x (H + damping 1)^-1 x``; None if not positive definite."""
+    Raises:
+        LinAlgError: g or H is not finite.
+    """
+    gradient, hessian = evaluation.gradient, evaluation.hessian
+    if not (np.all(np.isfinite(gradient)) and np.all(np.isfinite(hessian))):
+        raise LinAlgError("the objective's derivatives are not finite")
+    smallest = _ROUNDING * max(float(np.linalg.norm(hessian)), float(np.linalg.norm(gradient)) / radius)
+    low, high, damping = 0.0, np.inf, 0.0
+    fitting: FloatArray | None = None
+    while fitting is None or high - max(low, smallest) > ROUNDING * high:
         try:
-            return spd.damped_step(self._hessian, self._gradient, damping)
-        except LinAlgError:
-            return None
+            trial, bend = spd.damped_step(hessian, gradient, damping)
+            length = float(np.linalg.norm(trial))
+        except LinAlgError:  # not positive definite
+            length = np.inf
+        if length <= radius:
+            high, fitting = damping, trial
+            if damping == 0.0 or not 0.0 < length < _NEARLY * radius:
+                break
+        else:
+            low = damping
+        if length < np.inf:
+            damping += length**2 / bend * (length / (0.5 * (1.0 + _NEARLY) * radius) - 1.0)
+        if length == np.inf or not low < damping < high:
+            least = max(low, smallest)
+            damping = float(np.sqrt(least * high)) if fitting is not None else 10.0 * least
+    return fitting
 
 
 def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000) -> Solution:

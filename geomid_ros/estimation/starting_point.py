@@ -14,7 +14,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES, REST_SPEED
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this fraction of the channel's size.
 _LEAST_SHARE = 1e-2
@@ -118,14 +118,20 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
         parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
     sizes = channel_sizes(summary, model.dimension)
     factors, counts = summary.factors(), np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
+    described = model.described_coefficients
     for group in _sharing_effects(model):
         channel_columns = [model.channels[index].columns for index in group]
         channel_factors = [triangular(np.concatenate(factors[index :: len(sizes)])) for index in group]
         columns, factor = _together(channel_columns, channel_factors, sizes[group])
-        chosen = columns[columns >= first]
-        count = float(np.sum(counts[group]))
-        size = float(np.mean(sizes[group]))
-        parameters[chosen] = _fitted_effects(model, factor, count, columns, parameters, size)
+        links, chosen = columns[columns < first], columns[columns >= first]
+        remainder = factor[:, -1] - factor[:, : len(links)] @ parameters[links]
+        parameters[chosen] = _fitted_effects(
+            np.column_stack([factor[:, len(links) : -1], remainder]),
+            float(np.sum(counts[group])),
+            float(np.mean(sizes[group])),
+            chosen < first + model.positives,
+            described[chosen - first],
+        )
     parameters[first:][np.isfinite(_expected_shares(model, given))] = 0.0
     if given is not None:
         parameters = np.where(np.isfinite(given), given, parameters)
@@ -171,25 +177,26 @@ def _check_possible(given: FloatArray, model: MeasurementModel) -> None:
 
 
 def _fitted_effects(
-    model: MeasurementModel, factor: FloatArray, count: float, columns: IntArray, parameters: FloatArray, size: float
+    augmented: FloatArray, count: float, size: float, positive: BoolArray, described: FloatArray
 ) -> FloatArray:
-    """Fit the coefficients of the effects among the ``columns`` of channels; ``factor (rows, k + 1)``: of their
-    ``count`` rows; ``size``: RMS of their measured values."""
-    first = len(model.nominal_inertias)
-    inertial = columns < first
-    chosen = columns[~inertial]
-    positive = chosen < first + model.positives
-    if not len(factor):
+    """Fit the coefficients ``(k,)`` of the effects of channels.
+
+    Args:
+        augmented: ``(rows, k + 1)``: the factor of their ``count`` rows, and what the inertias leave unexplained.
+        count, size: number of rows, and RMS of their measured values.
+        positive: True for positive coefficients ``(k,)``.
+        described: the URDF's values ``(k,)``.
+    """
+    if not len(augmented):
         return np.where(positive, 1.0, 0.0)
-    remainder = factor[:, -1] - factor[:, :-1][:, inertial] @ parameters[columns[inertial]]
-    regressor = factor[:, :-1][:, ~inertial]
+    regressor, remainder = augmented[:, :-1], augmented[:, -1]
     split = np.hstack([regressor, -regressor[:, ~positive]])
     # The apparent motion of a joint at rest must not count as evidence.
     damping = REST_SPEED * np.sqrt(count) * np.eye(split.shape[1])
-    described = np.append(model.described_coefficients[chosen - first], np.zeros(np.count_nonzero(~positive)))
+    described = np.append(described, np.zeros(np.count_nonzero(~positive)))
     halves = _non_negative(np.concatenate([split, damping]), np.append(remainder, damping @ described))
-    fitted = halves[: len(chosen)]
-    fitted[~positive] -= halves[len(chosen) :]
+    fitted = halves[: len(positive)]
+    fitted[~positive] -= halves[len(positive) :]
     column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), _LEAST_MOTION)
     return np.asarray(np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted))
 

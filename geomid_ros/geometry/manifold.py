@@ -22,7 +22,6 @@ import numpy as np
 from geomid_ros.geometry import compiled, pseudo_inertia, spd
 from geomid_ros.types import FloatArray, IntArray, frozen
 
-_UNITS = spd.to_matrix(np.eye(spd.SIZE))
 _STRAIGHT = 0.5  # a number or an eigenvalue that shrinks by less moves along the straight line
 _SMALLEST_FACTOR = 0.05  # smallest factor by which one straight step scales a positive number or an inertia
 
@@ -144,7 +143,7 @@ class ParameterManifold:
         the blocks of :meth:`jacobian`."""
         matrices = spd.to_matrix(tangent[self.inertial].reshape(self.links, spd.SIZE))
         values, vectors = np.linalg.eigh(matrices)
-        rotated = spd.congruence(np.swapaxes(vectors, -1, -2)[:, None], _UNITS)
+        rotated = spd.congruence(np.swapaxes(vectors, -1, -2)[:, None], spd.UNITS)
         changes = spd.congruence(vectors[:, None], spd.exp_differences(values)[:, None] * rotated)
         blocks = pseudo_inertia.to_parameters(spd.congruence(base.root[:, None], changes))
         return np.swapaxes(blocks, -1, -2), np.append(base.positives * np.exp(tangent[self.positive]), self.scales)

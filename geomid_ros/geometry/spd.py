@@ -45,6 +45,8 @@ def to_matrix(vector: FloatArray) -> FloatArray:
     return matrix
 
 
+UNITS = to_matrix(np.eye(SIZE))
+"""Symmetric matrices ``(10, 4, 4)`` of the unit vectors."""
 # Entry (a, b) of a congruence: (i, j) = (ROWS, COLUMNS)[a] and (k, l) = (ROWS, COLUMNS)[b].
 _IK, _JL = 4 * ROWS[:, None] + ROWS, 4 * COLUMNS[:, None] + COLUMNS
 _IL, _JK = 4 * ROWS[:, None] + COLUMNS, 4 * COLUMNS[:, None] + ROWS

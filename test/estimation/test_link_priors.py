@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from model.robots import urdf
 
-from geomid_ros.estimation import link_priors
+from geomid_ros.estimation import fit
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.estimation.link_priors import AlikePrior
+from geomid_ros.estimation.link_priors import AlikePrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import ProductsObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.files.models.readers import ELEMENTS
@@ -137,6 +137,17 @@ def test_a_leg_that_was_repaired_is_let_go_and_told() -> None:
         assert masses(found)[name] == pytest.approx(masses(free)[name], abs=0.1)
 
 
+def test_a_fit_ends_where_its_prior_is_linearised() -> None:
+    """So the rows' residuals there are those of the geodesic prior."""
+    model, told = quadruped(), identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), True)
+    known, sigmas = weighed_rows(model, ()), np.full(len(model.channels), np.nan)
+    prior = AlikePrior.of(parts(), Problem(model, told.snapshot(), None, known, sigmas, None, 1.0))
+    found, weights = fit_with_coupled_prior(prior, partial(fit.fit, tolerance=1e-10, max_steps=300))
+    rows, point = found.problem.known, found.point
+    residuals = rows.rows @ point.parameters - rows.targets
+    np.testing.assert_allclose(residuals, prior.root(weights) @ prior.tangent(point), atol=1e-6)
+
+
 def test_parts_that_are_alike_are_not_told_as_unlike() -> None:
     found = identifier(THIGHS, ("FL", "FR", "RL", "RR"), True).solve()
     assert not [warning for warning in found.warnings if "identical parts" in warning]
@@ -166,6 +177,6 @@ def test_what_a_file_lacks_makes_no_part_unlike_the_others(monkeypatch: pytest.M
 
 @pytest.mark.parametrize(("rounds", "told"), [(1, True), (50, False)])
 def test_a_fit_that_does_not_settle_says_so(rounds: int, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_priors, "ROUNDS", rounds)
+    monkeypatch.setattr(fit, "ROUNDS", rounds)
     estimate = identifier(("RL_thigh",), ("FL", "FR", "RL", "RR"), True).solve()
     assert any("ran out of steps" in warning for warning in estimate.warnings) is told

@@ -9,7 +9,7 @@ import pytest
 from geometry import bodies
 
 from geomid_ros.estimation.objective import Evaluation, Objective
-from geomid_ros.estimation.solvers import SOLVERS, Extrapolation, Solution, _QuadraticModel, cyclic, trust_region
+from geomid_ros.estimation.solvers import SOLVERS, Extrapolation, Solution, cyclic, quadratic_minimiser, trust_region
 from geomid_ros.geometry import projection
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
@@ -179,7 +179,7 @@ def test_a_step_is_nearly_the_best_in_its_ball(radius: float, least: float) -> N
     hessian = (turned * np.append(least, 10.0 ** rng.uniform(-1.0, 6.0, size=11))) @ turned.T
     gradient = rng.normal(size=12) * 10.0 ** rng.uniform(-3.0, 3.0)
     hessian = 0.5 * (hessian + hessian.T)
-    step = _QuadraticModel(Evaluation(0.0, gradient, hessian, hessian)).minimiser(radius)
+    step = quadratic_minimiser(Evaluation(0.0, gradient, hessian, hessian), radius)
     assert np.linalg.norm(step) <= radius
     value = gradient @ step + 0.5 * step @ hessian @ step
     assert value <= 0.97 * in_the_ball(hessian, gradient, radius)
@@ -187,7 +187,7 @@ def test_a_step_is_nearly_the_best_in_its_ball(radius: float, least: float) -> N
 
 def test_a_gradient_that_does_not_say_which_way_down_still_gives_a_step() -> None:
     hessian, gradient = np.diag([-1.0, 2.0, 5.0]), np.array([0.0, 1.0, 1.0])
-    step = _QuadraticModel(Evaluation(0.0, gradient, hessian, hessian)).minimiser(10.0)
+    step = quadratic_minimiser(Evaluation(0.0, gradient, hessian, hessian), 10.0)
     np.testing.assert_allclose(step, [0.0, -1.0 / 3.0, -1.0 / 6.0], rtol=2e-3)
 
 
@@ -195,7 +195,7 @@ def test_a_gradient_that_does_not_say_which_way_down_still_gives_a_step() -> Non
 def test_a_parameter_of_which_nothing_is_known_ends_no_step_never(least: float) -> None:
     """Neither curvature nor slope along it: damping that is next to nothing is the least there is."""
     hessian, gradient = np.diag([least, 1.0, 5e5]), np.array([0.0, 1.0, 700.0])
-    step = _QuadraticModel(Evaluation(0.0, gradient, hessian, hessian)).minimiser(16.0)
+    step = quadratic_minimiser(Evaluation(0.0, gradient, hessian, hessian), 16.0)
     np.testing.assert_allclose(step, [0.0, -1.0, -700.0 / 5e5], rtol=1e-5, atol=1e-12)
 
 
@@ -203,7 +203,7 @@ def test_a_parameter_of_which_nothing_is_known_ends_no_step_never(least: float) 
 def test_where_derivatives_are_not_finite_there_is_no_step(slope: float, bend: float) -> None:
     hessian = np.diag([1.0, bend])
     with pytest.raises(np.linalg.LinAlgError, match="finite"):
-        _QuadraticModel(Evaluation(0.0, np.array([slope, 1.0]), hessian, hessian)).minimiser(1.0)
+        quadratic_minimiser(Evaluation(0.0, np.array([slope, 1.0]), hessian, hessian), 1.0)
 
 
 def test_a_linear_iteration_is_at_its_fixed_point_after_one_round_more_than_it_has_dimensions() -> None:
