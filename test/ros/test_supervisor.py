@@ -226,9 +226,7 @@ def test_92_a_hang_is_known_though_nothing_can_begin_anew(monkeypatch: pytest.Mo
     assert not any("hung" in problem for problem in watched.problems)
 
 
-def test_92_what_goes_on_after_a_hang_has_its_own_time(
-    clock: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_92_what_goes_on_after_a_hang_has_its_own_time(clock: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was held up counts from the end of what held it up: the next solve is not ended with it."""
     monkeypatch.setattr(threads, "time", clock)
     watched, solving, solver = watching()
