@@ -163,7 +163,7 @@ class Rounds:
 def test_rounds_end_where_another_is_not_worth_it(
     until: str, said: str, arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(import_module("geomid_ros.commands.excite.run"), "_LearningRounds", Rounds)
+    monkeypatch.setattr(import_module("geomid_ros.commands.excite"), "_LearningRounds", Rounds)
     arguments = ("--urdf", arm, "--execute", "--yes", "--rounds", "3", "--until", until, "--out", tmp_path)
     text = done("excite", "learn", *arguments)
     assert said in text

@@ -88,7 +88,7 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
 def as_estimated(model: Any, columns: Any, files: Any, _errors: Any, _among: Any, fitted: Any) -> dict[str, np.ndarray]:
     """In place of a fit for each file, which takes as long as the estimate."""
     parameters = np.zeros(model.dimension)
-    parameters[columns] = fitted(columns).point.parameters
+    parameters[columns] = fitted(columns)
     return dict.fromkeys(files, parameters)
 
 

@@ -26,7 +26,7 @@ _context.set_forkserver_preload(
         "geomid_ros.api.identify",
         "geomid_ros.commands",
         "geomid_ros.commands.recording_results",
-        "geomid_ros.commands.excite.run",
+        "geomid_ros.commands.excite",
         "geomid_ros.ros.excite.run",
         "geomid_ros.ros.node",
         "geomid_ros.ros.player",
