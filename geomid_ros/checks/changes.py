@@ -46,21 +46,29 @@ class _Kind:
 
 
 def changes(subject: EffortData) -> Iterator[FaultCandidate]:
-    """Yield the changes that explain anything, each from where it explains most."""
+    """Yield the changes that promise to explain anything, each from where it promises most."""
     yield from switches(subject)
     # People change something between recordings rather than during one.
     begins = np.union1d(
         np.searchsorted(subject.shares, _PLACES),
         np.flatnonzero(np.diff(subject.recordings, prepend=subject.recordings[0])),
     )
+    fit = subject.baseline_fit
     for kind in _kinds(subject):
-        places = [*subject.shares[begins].tolist(), *([np.nan] if kind.grows else [])]
-        gains = [subject.baseline_fit.gain(kind.onset(subject, place)) for place in places]
-        best = int(np.argmax([gain.per_instant for gain in gains]))
-        place, gain = places[best], gains[best]
+        always = kind.columns(subject)
+        promises = fit.predicted_gains(always, begins, before=kind.first)
+        places = subject.shares[begins]
+        if kind.grows:
+            promises = np.append(promises, fit.predicted_gains(subject.shares[:, None, None] * always))
+            places = np.append(places, np.nan)
+        best = int(np.argmax(promises))
+        if promises[best] <= 0.0:
+            continue
+        place = float(places[best])
+        gain = fit.gain(kind.onset(subject, place))
         time = BIT_BY_BIT if np.isnan(place) else f"about {subject.time_of(place)}"
         cause = kind.cause(gain, time if np.isnan(place) else f"until {time}" if kind.first else f"from {time} on")
-        if cause is not None and gain.per_instant > 0.0:
+        if cause is not None:
             yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), cause)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from geomid_ros.checks.evidence import (
 )
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples
 from geomid_ros.estimation.tolerances import ROUNDING
+from geomid_ros.geometry import spd
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -376,15 +378,68 @@ class BaselineFit:
         self._instants = float(np.mean(np.maximum(np.sum(self._moving, axis=0), 1.0)))  # of a channel, on average
         curves = _curves(subject.samples.position[:, subject.joints], friction, subject.predicted)
         self._tolerated = np.concatenate([np.ones(curves.shape[1:]), subject.tolerated], axis=1)
-        self._subject = subject
-        self._unknowns = subject.unknowns.with_separate(np.concatenate([curves, friction], axis=2))
+        self._subject, self._own = subject, np.concatenate([curves, friction], axis=2)
+        self._unknowns = subject.unknowns.with_separate(self._own)
         self.nominal = self._evidence(self._unknowns)
         """Evidence without further columns."""
         self.link_efforts = self._rigid(self.nominal.link_errors)
         """Efforts of the fitted links ``(N, C)``."""
+        self._linearise()
+
+    def predicted_gains(
+        self, columns: FloatArray, begins: IntArray | None = None, *, before: bool = False
+    ) -> FloatArray:
+        """Return an approximate lower bound of ``gain(columns).per_instant``, at the noise without the columns [nats].
+
+        Args:
+            columns: ``(N, C, k)`` of the efforts, per standard deviation of their coefficients.
+            begins: ``(n,)`` increasing indices of samples; the columns are zero before each, or from it on if
+                ``before``. By default they begin at the first sample.
+
+        Returns:
+            For each beginning ``(n,)``.
+        """
+        ends = np.append(0 if begins is None else begins, len(columns))
+        if before:
+            ends = np.append(0, ends[:-1])
+        parts = np.array([self._crossed(columns, slice(*part)) for part in pairwise(ends)])
+        sums = np.cumsum(parts, axis=0) if before else np.cumsum(parts[::-1], axis=0)[::-1]
+        return np.array([self._promise(total) for total in sums])
+
+    def _crossed(self, columns: FloatArray, part: slice) -> FloatArray:
+        """Products ``(K + k + 1, k)`` of the known columns, the columns and the target with the columns, over some
+        samples, all in units of the noise."""
+        count, size = columns.shape[2], len(self._whitener)
+        sums = np.zeros((size + count + 1, count))
+        for channel, (places, known) in enumerate(zip(self._known.places, self._known.columns, strict=True)):
+            nonzero = np.flatnonzero(np.any(columns[part, channel], axis=0))
+            rows = self._weights[part, channel, None] * columns[part, channel, nonzero]
+            at = np.concatenate([places, size + nonzero, [size + count]])
+            sums[at[:, None], nonzero] += np.column_stack([known[part], rows, self._target[part, channel]]).T @ rows
+        return sums
+
+    def _promise(self, crossed: FloatArray) -> float:
+        with_known, squared, target = np.split(crossed, [len(self._whitener), len(crossed) - 1])
+        coupling = self._whitener @ with_known
+        sizes, axes = np.linalg.eigh(squared - coupling.T @ coupling)
+        precisions = 1.0 + np.maximum(sizes, 0.0)  # rounding makes sizes of tiny efforts negative
+        quadratic = float(np.sum((axes.T @ (target[0] - self._explained @ coupling)) ** 2 / precisions))
+        return 0.5 * (quadratic - float(np.sum(np.log(precisions)))) / self._instants
+
+    def _linearise(self) -> None:
+        """Linearise at the fit, with friction of either sign."""
+        of = self._subject
+        self._weights = self._moving / (of.measured_std * self.nominal.sigmas)
+        scaled = self._own * self._tolerated * of.measured_std[:, None]
+        self._known = self._unknowns.with_separate(scaled).times(self._weights)
+        self._target = self._weights * (of.measured - of.predicted)
+        sums = self._known.with_target(self._target, np.ones(self._target.shape[1]))
+        products = sums.weighed(np.ones(len(sums)))
+        self._whitener = spd.whitener(products[:-1, :-1] + np.eye(len(products) - 1))
+        self._explained = self._whitener @ products[:-1, -1]
 
     def gain(self, columns: FloatArray) -> EvidenceGain:
-        """Fit additional ``columns (N, C, k)`` of the efforts, per standard deviation of their coefficients."""
+        """Fit additional columns, in the form of :meth:`predicted_gains`."""
         fitted, rank = self._evidence(self._unknowns.with_errors(columns)), self._unknowns.links
         return EvidenceGain(
             per_instant=(fitted.log_evidence - self.nominal.log_evidence) / self._instants,
