@@ -86,6 +86,23 @@ def test_a_gain_must_repeat(folds: int, changes: bool, monkeypatch: pytest.Monke
     assert np.array_equal(file_fit(own, stiff), own.point.parameters) == changes
 
 
+@pytest.mark.parametrize("better", [0, 1])
+def test_errors_are_in_units_of_the_estimates_noise(better: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of the file's own fit hides what the file cannot say. Here the links change one channel, and the estimate's
+    are wrong by as much in another: it depends on which of them is the more precise."""
+    found = fit(problem(arm("arm3", 0)), tolerance=1e-8, max_steps=200)
+    channels = found.problem.summary.channels
+    alone = [np.setdiff1d(channels[k].columns, channels[1 - k].columns)[-1] for k in (0, 1)]
+    ends = np.tile(np.append(found.point.parameters, -1.0), (2, len(found.fold_products), 1))
+    ends[[0, 1], :, alone] += 100.0
+    unseen = iter(ends)
+    monkeypatch.setattr(effect_selection, "_without_folds", lambda *_: next(unseen))
+    noise = [np.where(np.arange(len(found.sigmas)) % len(channels) == k, 1.0, 1e3) for k in (0, 1)]
+    own, estimate = replace(found, sigmas=noise[1 - better]), replace(found, sigmas=noise[better])
+    changes = np.array_equal(file_fit(own, estimate), own.point.parameters)
+    assert changes == (better == 0), "the held end is wrong in channel 0"
+
+
 def test_a_fold_is_left_out_in_one_step() -> None:
     """To the minimum of the other folds; so far that the rest follows if the links' part of the step is given."""
     found = fit(problem(arm("arm3", 1)), tolerance=1e-10, max_steps=300)
