@@ -17,6 +17,7 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.link_priors import AlikePrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import ProductsObjective
 from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.tolerances import SETTLED
 from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.alike_parts import AlikeParts, alike_parts
@@ -138,7 +139,8 @@ def test_a_leg_that_was_repaired_is_let_go_and_told() -> None:
 
 
 def test_a_fit_ends_where_its_prior_is_linearised() -> None:
-    """So the rows' residuals there are those of the geodesic prior."""
+    """So the rows' residuals there are those of the geodesic prior, and its blocks' weights are those of their
+    distances."""
     model, told = quadruped(), identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), True)
     known, sigmas = weighed_rows(model, ()), np.full(len(model.channels), np.nan)
     prior = AlikePrior.of(parts(), Problem(model, told.snapshot(), None, known, sigmas, None, 1.0))
@@ -146,6 +148,7 @@ def test_a_fit_ends_where_its_prior_is_linearised() -> None:
     rows, point = found.problem.known, found.point
     residuals = rows.rows @ point.parameters - rows.targets
     np.testing.assert_allclose(residuals, prior.root(weights) @ prior.tangent(point), atol=1e-6)
+    assert prior.weights(found, weights) == pytest.approx(weights, rel=SETTLED)
 
 
 def test_parts_that_are_alike_are_not_told_as_unlike() -> None:
