@@ -150,8 +150,8 @@ class Coupling(Protocol):
     def next_state(self, found: Fit) -> FloatArray:
         """State ``(n,)`` that follows from the fit so far."""
 
-    def problem_in(self, state: FloatArray, point: Point) -> tuple[Problem, Point]:
-        """Take this state. Return the problem in it, and the point nearby from which to solve it."""
+    def problem_in(self, state: FloatArray, point: Point) -> Problem:
+        """Take this state, and return the problem in it, which is solved from ``point``."""
 
 
 def fit(
@@ -209,7 +209,7 @@ def fit(
         elif np.max(moves) < SETTLED:
             extrapolation = Extrapolation()
         if coupling is not None:
-            problem, point = coupling.problem_in(after[size:], point)
+            problem = coupling.problem_in(after[size:], point)
     return found
 
 

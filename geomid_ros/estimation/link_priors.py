@@ -128,10 +128,6 @@ class CoupledPrior(ABC):
         """Coordinates ``(k,)`` at the mean of a point of the problem's manifold."""
         return self.manifold.log(self.mean, self.manifold.point(point.parameters[self.columns]))
 
-    def state(self, point: Point, weights: Mapping[str, float]) -> FloatArray:
-        """Logarithms of the blocks' weights, then the coordinates of a point of the problem's manifold."""
-        return np.append(np.log([weights[name] for name in self.names]), self.tangent(point))
-
     def problem_at(self, point: Point, weights: Mapping[str, float]) -> Problem:
         """Return the problem with the prior's rows, linearised at ``point``, for these weights of the blocks."""
         tangent, root = self.tangent(point), self.root(weights)
@@ -303,7 +299,7 @@ def fit_with_coupled_prior(
     given = given and {**prior.trusted, **given}  # blocks that are not given keep their prior
     found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted))
     weights, point = given or prior.weights(found, prior.trusted), found.search_point
-    linearised = _Linearised(prior, prior.state(point, weights), weights_given=given is not None)
+    linearised = _Linearised(prior, np.log([weights[name] for name in prior.names]), weights_given=given is not None)
     problem = prior.problem_at(point, weights)
     found = solve(problem, start=point, prior_stds=found.prior_stds, coupling=linearised)
     return found, linearised.weights
@@ -311,7 +307,7 @@ def fit_with_coupled_prior(
 
 @dataclass
 class _Linearised(Coupling):
-    """A prior linearised in a ``state (n,)``: for these logarithms of its blocks' weights, at these coordinates."""
+    """A prior that is linearised where each round begins; its ``state (n,)``: logarithms of its blocks' weights."""
 
     prior: CoupledPrior
     state: FloatArray
@@ -320,17 +316,14 @@ class _Linearised(Coupling):
     @property
     def weights(self) -> dict[str, float]:
         """Weights of the blocks, at most one."""
-        names = self.prior.names
-        return dict(zip(names, np.exp(np.minimum(self.state[: len(names)], 0.0)).tolist(), strict=True))
+        return dict(zip(self.prior.names, np.exp(np.minimum(self.state, 0.0)).tolist(), strict=True))
 
     def next_state(self, found: Fit) -> FloatArray:
         """See :class:`Coupling`."""
         weights = self.weights if self.weights_given else self.prior.weights(found, self.weights)
-        return self.prior.state(found.search_point, weights)
+        return np.log([weights[name] for name in self.prior.names])
 
-    def problem_in(self, state: FloatArray, point: Point) -> tuple[Problem, Point]:
+    def problem_in(self, state: FloatArray, point: Point) -> Problem:
         """See :class:`Coupling`."""
-        self.state, prior, parameters = state, self.prior, point.parameters.copy()
-        parameters[prior.columns] = prior.manifold.exp(prior.mean, state[len(prior.names) :]).parameters
-        moved = prior.problem.manifold.point(parameters)
-        return prior.problem_at(moved, self.weights), moved
+        self.state = state
+        return self.prior.problem_at(point, self.weights)
