@@ -169,10 +169,12 @@ def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.Monk
 
     monkeypatch.setenv("ROS_DOMAIN_ID", str(stage.domain))
     before = signal.getsignal(signal.SIGINT)
+    said: list[str] = []
     with prepared_run(order) as run:
         monkeypatch.setattr(MotionMonitor, "check", fail)
         with pytest.raises(RuntimeError, match="a defect"):
-            run.execute(stage.folder / "run1", lambda _: None)
+            run.execute(stage.folder / "run1", said.append)
+    assert said[-1] == "stopping: RuntimeError('a defect')"
     assert signal.getsignal(signal.SIGINT) is before
     stage.observer.wait_for(lambda: commands and len(commands[-1].points) == 1, "the command to rest")
     states(stage.folder / "run1")

@@ -165,10 +165,11 @@ class MotionRun:
         )
         controller.send(motion)
 
-        def stop() -> Trajectory:
+        def stop(reason: str) -> str:
             way = stopping_trajectory(motion.joints, *watch.present_state, self._stopping)
             controller.send(way)
-            return way
+            say(f"stopping: {reason}")
+            return self._ending(way.duration + _SETTLING)
 
         problem, before = "", time.monotonic()
         try:
@@ -177,13 +178,11 @@ class MotionRun:
                 deviation = watch.check(states, now - before)
                 before, interruption = now, "interrupted" if self._interrupted() else ""
                 problem = interruption or controller.problem or deviation or recorder.problem
-        except BaseException:
-            stop()
+        except BaseException as error:
+            stop(repr(error))  # watched until it rests: the command would be lost if the node ended at once
             raise
         if problem:
-            way = stop()
-            say(f"stopping: {problem}")
-            ending = self._ending(way.duration + _SETTLING)
+            ending = stop(problem)
             raise GeomidError(f"the motion was stopped: {problem}. {ending}. Recorded until then: {recorder.path}")
 
     def _ending(self, seconds: float) -> str:
