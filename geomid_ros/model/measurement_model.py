@@ -346,15 +346,13 @@ class MeasurementModel:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
         entries, channels, parameters, entry_indices = self._of_motion
         coefficients[:, channels, parameters] = samples.values_of(entries)[:, entry_indices]
-        by_load = [(p, c.effect, joint_of(c.place)) for p, c in self._numbered if isinstance(c.effect, LoadEffect)]
-        if by_load:
+        if self._of_loads:
             loads, signs = self._loads(samples, bodies), samples.column(SIGN)
-            for parameter, effect, joint in by_load:
+            for parameter, effect, joint in self._of_loads:
                 coefficients[:, joint, parameter] = effect.column(loads[:, joint], signs[:, joint])
-        for parameter, c in self._numbered:
-            if isinstance(c.effect, SensorEffect):
-                for channel, column in self.columns_of(samples, c.effect, c.place, c.index).items():
-                    coefficients[:, channel, parameter] = column
+        for parameter, of_sensor, place, index in self._of_sensors:
+            for channel, column in self.columns_of(samples, of_sensor, place, index).items():
+                coefficients[:, channel, parameter] = column
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
@@ -386,6 +384,16 @@ class MeasurementModel:
         ]
         channels, parameters, entry_indices = np.array(indices, dtype=np.int64).reshape(-1, 3).T
         return entries, channels, parameters, entry_indices
+
+    @cached_property
+    def _of_loads(self) -> list[tuple[int, LoadEffect, int]]:
+        """Parameter, effect and joint of each coefficient of load-dependent friction."""
+        return [(p, c.effect, joint_of(c.place)) for p, c in self._numbered if isinstance(c.effect, LoadEffect)]
+
+    @cached_property
+    def _of_sensors(self) -> list[tuple[int, SensorEffect, Place, int]]:
+        """Parameter, effect, place and index of each coefficient of a sensor's effect."""
+        return [(p, c.effect, c.place, c.index) for p, c in self._numbered if isinstance(c.effect, SensorEffect)]
 
     @cached_property
     def _of_resistance(self) -> tuple[Entries, FloatArray]:

@@ -135,7 +135,8 @@ class GridValues:
 
     def __init__(self) -> None:
         self.first = 0
-        self.values = np.zeros((0, 0))
+        self.values = self._space = np.zeros((0, 0))  # the values are part of a space with room for others
+        self._end = 0  # of the values, in the space
 
     @property
     def end(self) -> int:
@@ -146,7 +147,12 @@ class GridValues:
         """Append ``values (N, ...)`` from grid point ``start`` on: the :attr:`end`, unless there are no values yet."""
         if not len(self.values):
             self.first, self.values = start, values[:0]
-        self.values = np.concatenate([self.values, values])
+        kept, end = len(self.values), self._end + len(values)
+        if end > len(self._space):  # room for as many as are kept: a value is copied once on the average
+            space, end = np.empty((2 * kept + len(values), *values.shape[1:])), kept + len(values)
+            space[:kept], self._space = self.values, space
+        self._space[end - len(values) : end] = values
+        self.values, self._end = self._space[end - len(values) - kept : end], end
 
     def correlated(self, instants: range, kernels: FloatArray, columns: int | None = None) -> FloatArray:
         """Correlate with ``kernels (kernels, 2 half + 1)`` around each grid point.

@@ -358,7 +358,7 @@ class JointEffect(MotionEffect):
         """Return efforts ``(..., J)`` per unit, nonzero at the one joint."""
         joint = joint_of(place)
         efforts = np.zeros(motion.position.shape)
-        efforts[..., joint] = self.column(motion.of(joint))
+        efforts[..., joint] = self.column(motion.joints[joint])
         return efforts
 
 
@@ -375,7 +375,7 @@ class PairEffect(MotionEffect):
         """Return efforts ``(..., J)`` per unit, nonzero at the two joints."""
         first, second = joints_of(place)
         efforts = np.zeros(motion.position.shape)
-        efforts[..., first], efforts[..., second] = self.columns(motion.of(first), motion.of(second))
+        efforts[..., first], efforts[..., second] = self.columns(motion.joints[first], motion.joints[second])
         return efforts
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import FloatArray
 
 PlaceKind: TypeAlias = Literal["joint", "joints", "robot", "link", "sensor", "base", "commands"]
 
@@ -115,10 +116,13 @@ class JointMotion:
 class Motion(JointMotion):
     """Motion of all J joints ``(3, ..., J)``, in the form of :class:`JointMotion`."""
 
-    def of(self, joint: int | IntArray) -> JointMotion:
-        """Return the motion of one joint, or of several ``(..., n)``."""
-        past = {effect: state.take(joint, axis=-1) for effect, state in self.past.items()}
-        return JointMotion(self.states.take(joint, axis=-1), past)
+    @cached_property
+    def joints(self) -> Sequence[JointMotion]:
+        """Motion of each joint."""
+        return [
+            JointMotion(self.states[..., joint], {effect: state[..., joint] for effect, state in self.past.items()})
+            for joint in range(self.states.shape[-1])
+        ]
 
 
 OfLoad: TypeAlias = Callable[[FloatArray, float], FloatArray]
