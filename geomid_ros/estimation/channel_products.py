@@ -162,6 +162,18 @@ class ChannelProducts(_Products):
             total[selected[:, None], places] += weights[channel] * block[rows[channel, selected]]
         return total
 
+    def having(self, columns: IntArray) -> IntArray:
+        """Channels ``(n,)`` in which some of ``columns`` is not zero."""
+        rows = self._rows[:, columns]
+        nonzero = [np.any(block[of[of >= 0], of[of >= 0]]) for block, of in zip(self.blocks, rows, strict=True)]
+        return np.flatnonzero(nonzero)
+
+    def combined(self, channel: int, combinations: FloatArray) -> FloatArray:
+        """Gram matrix ``(k, k)`` of linear ``combinations (size, k)`` of the columns and the target of a channel."""
+        weights = combinations[self.places[channel]]
+        (used,) = np.nonzero(np.any(weights, axis=1))
+        return np.asarray(weights[used].T @ self.blocks[channel][used[:, None], used] @ weights[used])
+
     @cached_property
     def _rows(self) -> IntArray:
         """Row of each column in each channel's block ``(C, size)``; -1 if the channel does not have it."""

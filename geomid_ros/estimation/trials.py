@@ -1,0 +1,173 @@
+"""Trials of coefficients at the minimum of a fit: a few change, and all other parameters respond linearly.
+
+At a minimum of half the objective, with the noise of the channels fixed, let H be the Hessian in tangent coordinates.
+If the coefficients ``u`` of a trial have given values, the other parameters ``z`` move by ``-H_zz^-1 H_zu du``. So all
+residuals are linear in u, and the objective is a quadratic function of u. In the channels that depend on u the noise is
+estimated anew, as in a fit. A trial is thus a problem of a few unknowns. As z is at its minimum, the error of its
+response, and that of the noise of the other channels, changes the objective in second order only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
+from geomid_ros.estimation.tolerances import ROUNDS
+from geomid_ros.geometry import spd
+from geomid_ros.types import FloatArray, IntArray
+
+_LEAST_DECREASE = 1e-3  # of the score
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Minimum at which only some of the coefficients of ``trials`` have ``values (k,)``, zero for the others.
+
+    ``all_columns``: all columns of the fit that this trial stands for, including coefficients that are zero because
+    they would be negative. ``score``: as that of a fit.
+    """
+
+    trials: Trials
+    all_columns: IntArray
+    values: FloatArray
+    score: float
+
+    @property
+    def is_plausible(self) -> bool:
+        """True if every optional effect is plausible."""
+        parameters = self.trials.states[:-1] @ np.append(1.0, self.values)
+        return bool(np.all(self.trials.fit.rows.are_plausible(self.all_columns, parameters)))
+
+    def leaves_less(self, share: float) -> bool:
+        """True if it reduces the residual in fast motion of a channel of the fit by this fraction."""
+        fast = self.trials.channels < self.trials.fit.rows.fast.stop
+        remaining = self.trials.squares(self.values) < (1.0 - share) * self.trials.squares(self.trials.present)
+        return bool(np.any(remaining[fast]))
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Trials of the coefficients ``columns (k,)``, which a ``fit`` may have or not."""
+
+    fit: CoefficientFit
+    columns: IntArray
+
+    @property
+    def rows(self) -> CoefficientRows:
+        """Rows of the fit."""
+        return self.fit.rows
+
+    @cached_property
+    def present(self) -> FloatArray:
+        """Values ``(k,)`` of the coefficients in the fit."""
+        return self.fit.parameters[self.columns]
+
+    @cached_property
+    def channels(self) -> IntArray:
+        """Groups of rows that depend on the coefficients ``(n,)``."""
+        return self.rows.products.having(self.columns)
+
+    @cached_property
+    def _new(self) -> FloatArray:
+        """Products ``(m, D + 1)`` of the columns that the fit does not have with all columns, weighted by the noise."""
+        return self.rows.products.some(np.setdiff1d(self.columns, self.fit.columns), self.fit.weights)
+
+    @cached_property
+    def _responses(self) -> tuple[FloatArray, FloatArray]:
+        """Tangent coordinates of the fitted parameters ``(fitted, k)`` per unit of each coefficient, and the quadratic
+        form of half the objective ``(k + 1, k + 1)`` of one and the coefficients, at the noise of the fit."""
+        fit, manifold = self.fit.fit, self.fit.fit.objective.manifold
+        is_new = ~np.isin(self.columns, self.fit.columns)
+        places = np.searchsorted(self.fit.columns, self.columns[~is_new])
+        shared = manifold.whiten(fit.point, self._new[:, self.fit.columns])
+        inverse, responses = self.fit.inverse, np.zeros((len(self.fit.columns), len(self.columns)))
+        responses[:, is_new] = -inverse @ shared.T
+        given = np.zeros((len(places), len(self.columns)))
+        given[:, ~is_new] = np.diag(1.0 / manifold.jacobian(fit.point)[1][places - manifold.inertial.stop])
+        pulls = np.linalg.solve(inverse[places[:, None], places], given - responses[places])
+        responses += inverse[:, places] @ pulls
+        quadratic = responses.T @ fit.hessian @ responses
+        crossed = responses.T @ shared.T
+        quadratic[:, is_new] += crossed
+        quadratic[is_new] += crossed.T
+        quadratic[np.ix_(is_new, is_new)] += self._new[:, self.columns[is_new]]
+        slope = responses.T @ fit.evaluation.gradient
+        slope[is_new] += self._new @ self.fit.vector
+        form = np.empty((len(slope) + 1, len(slope) + 1))
+        form[1:, 1:] = quadratic
+        form[0, 1:] = form[1:, 0] = slope - quadratic @ self.present
+        form[0, 0] = self.present @ (quadratic @ self.present - 2.0 * slope)
+        return responses, form
+
+    @cached_property
+    def states(self) -> FloatArray:
+        """All parameters and minus one ``(D + 1, k + 1)``, as linear functions of one and the coefficients."""
+        manifold, point = self.fit.fit.objective.manifold, self.fit.fit.point
+        blocks, diagonal = manifold.jacobian(point)
+        states = np.zeros((self.rows.size + 1, len(self.columns) + 1))
+        moved = manifold.by_blocks(self._responses[0].T, np.swapaxes(blocks, -1, -2), diagonal)
+        states[self.fit.columns, 1:] = moved.T
+        states[self.columns, 1:] = np.eye(len(self.columns))
+        states[:, 0] = self.fit.vector - states[:, 1:] @ self.present
+        return states
+
+    @cached_property
+    def _squares(self) -> FloatArray:
+        """Quadratic forms ``(n, k + 1, k + 1)`` of the residual squares of :attr:`channels`."""
+        return np.array([self.rows.products.combined(channel, self.states) for channel in self.channels])
+
+    @cached_property
+    def _others(self) -> FloatArray:
+        """Quadratic form of half the objective without :attr:`channels`."""
+        weights = self.fit.weights[self.channels]
+        return np.asarray(self._responses[1] - np.einsum("c,cij->ij", weights, self._squares))
+
+    def squares(self, values: FloatArray) -> FloatArray:
+        """Residual squares ``(n,)`` of :attr:`channels` for ``values (k,)`` of the coefficients."""
+        state = np.append(1.0, values)
+        return np.asarray((self._squares @ state) @ state)
+
+    @cached_property
+    def _least(self) -> FloatArray:
+        return self.fit.fit.objective.profile.least[self.channels]
+
+    @cached_property
+    def _known(self) -> FloatArray:
+        """Effective number of parameters of links that each of :attr:`channels` determines ``(n,)``."""
+        return self.fit.determined_by(self.channels)
+
+    def trial(self, columns: IntArray) -> Trial:
+        """Return the minimum with these of the coefficients. Those that would be negative and cannot be are zero."""
+        active = np.isin(self.columns, columns)
+        every = np.union1d(np.setdiff1d(self.fit.all_columns, self.columns), columns)
+        while True:
+            values = self._minimum(active)
+            negative = (values < 0.0) & self.rows.positive[self.columns]
+            if not np.any(negative):
+                return Trial(self, every, values, self._score(values))
+            active &= ~negative
+
+    def _minimum(self, active: IntArray) -> FloatArray:
+        """Values ``(k,)`` at the minimum, zero unless ``active``, by reweighting."""
+        values, score = np.zeros(len(self.columns)), np.inf
+        places, counts = np.append(0, 1 + np.flatnonzero(active)), self.rows.counts[self.channels]
+        squares, others = self._squares[:, places[:, None], places], self._others[places[:, None], places]
+        weights = self.fit.weights[self.channels]
+        for _ in range(ROUNDS if len(places) > 1 else 0):
+            form = others + np.einsum("c,cij->ij", weights, squares)
+            values[places[1:] - 1] = spd.solve_or_least_squares(form[1:, 1:], -form[1:, 0])
+            before, score = score, self._score(values)
+            if not score < before - _LEAST_DECREASE:
+                break
+            weights = counts / np.maximum(self.squares(values), self._least)
+        return values
+
+    def _score(self, values: FloatArray) -> float:
+        state, squares, counts = np.append(1.0, values), self.squares(values), self.rows.counts[self.channels]
+        noise = np.maximum(squares, self._least)
+        change = np.log(noise / self.fit.residual_squares[self.channels])
+        of_channels = counts @ (change + squares / noise) - self._known @ change
+        return float(self.fit.score + state @ self._others @ state + of_channels)
