@@ -144,7 +144,7 @@ class CoefficientRows:
     def _prior(self, scales: FloatArray) -> tuple[ParameterManifold, Point]:
         """Manifold with coefficients of these scales, and the prior without effects."""
         manifold = ParameterManifold(len(self.problem.default_stds), 0, scales)
-        return manifold, manifold.point(np.append(self.problem.prior[: self.first_column], np.zeros(len(scales))))
+        return manifold, manifold.point(np.append(self.problem.prior_inertias, np.zeros(len(scales))))
 
     @cached_property
     def counts(self) -> FloatArray:

@@ -79,10 +79,12 @@ class Trials:
     def _responses(self) -> tuple[FloatArray, FloatArray]:
         """Tangent coordinates of the fitted parameters ``(fitted, k)`` per unit of each coefficient, and the quadratic
         form of half the objective ``(k + 1, k + 1)`` of one and the coefficients, at the noise of the fit."""
-        fit, manifold = self.fit.fit, self.fit.fit.objective.manifold
+        fit, manifold, prior = self.fit.fit, self.fit.fit.objective.manifold, self.fit.fit.objective.profile.prior
         is_new = ~np.isin(self.columns, self.fit.columns)
-        places = np.searchsorted(self.fit.columns, self.columns[~is_new])
+        places, new = np.searchsorted(self.fit.columns, self.columns[~is_new]), self.columns[is_new]
+        known = self.rows.known_products[new]
         shared = manifold.whiten(fit.point, self._new[:, self.fit.columns])
+        shared += manifold.whiten_offset_rows(prior, fit.point, known[:, self.fit.columns])
         inverse, responses = self.fit.inverse, np.zeros((len(self.fit.columns), len(self.columns)))
         responses[:, is_new] = -inverse @ shared.T
         given = np.zeros((len(places), len(self.columns)))
@@ -93,9 +95,10 @@ class Trials:
         crossed = responses.T @ shared.T
         quadratic[:, is_new] += crossed
         quadratic[is_new] += crossed.T
-        quadratic[np.ix_(is_new, is_new)] += self._new[:, self.columns[is_new]]
+        quadratic[np.ix_(is_new, is_new)] += self._new[:, new] + known[:, new]
         slope = responses.T @ fit.evaluation.gradient
-        slope[is_new] += self._new @ self.fit.vector
+        slope[is_new] += self._new @ self.fit.vector + known[:, -1]
+        slope[is_new] += known[:, self.fit.columns] @ manifold.offset(prior, fit.point)
         form = np.empty((len(slope) + 1, len(slope) + 1))
         form[1:, 1:] = quadratic
         form[0, 1:] = form[1:, 0] = slope - quadratic @ self.present
