@@ -97,11 +97,18 @@ def _starts(fit: CoefficientFit) -> tuple[CoefficientFit, CoefficientFit]:
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
     """Give every effect of ``joints`` its most likely shape, one joint after the other."""
     for joint in joints:
-        trials = _trials(fit, {joint})
-        shaped = _best_shapes(trials, fit.all_columns)
-        if not np.array_equal(shaped.all_columns, fit.all_columns):
-            fit = fit.rows.fit(shaped.all_columns, fit, prior_stds=fit.fit.scales)
+        fit, better = _reshaped(fit, joint), fit
+        while better is not fit:
+            fit, better = _reshaped(fit, joint), fit
     return fit.rows.fit(fit.all_columns, fit)
+
+
+def _reshaped(fit: CoefficientFit, joint: int) -> CoefficientFit:
+    """Fit with the shapes that trials of the effects of a joint find, if it is more likely; else the same."""
+    shaped = _best_shapes(_trials(fit, {joint}), fit.all_columns)
+    if np.array_equal(shaped.all_columns, fit.all_columns):
+        return fit
+    return min(fit, fit.rows.fit(shaped.all_columns, fit, prior_stds=fit.fit.scales), key=lambda one: one.score)
 
 
 def _trials(fit: CoefficientFit, joints: Collection[int], more: Sequence[int] = ()) -> Trials:

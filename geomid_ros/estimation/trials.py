@@ -38,14 +38,18 @@ class Trial:
     @property
     def is_plausible(self) -> bool:
         """True if every optional effect is plausible."""
-        parameters = self.trials.states[:-1] @ np.append(1.0, self.values)
-        return bool(np.all(self.trials.fit.rows.are_plausible(self.all_columns, parameters)))
+        return bool(np.all(self.trials.rows.are_plausible(self.all_columns, self._state[:-1])))
 
     def leaves_less(self, share: float) -> bool:
         """True if it reduces the residual in fast motion of a channel of the fit by this fraction."""
-        fast = self.trials.channels < self.trials.fit.rows.fast.stop
-        remaining = self.trials.squares(self.values) < (1.0 - share) * self.trials.squares(self.trials.present)
-        return bool(np.any(remaining[fast]))
+        rows = self.trials.rows
+        remaining = rows.products.squares(self._state)[rows.fast]
+        return bool(np.any(remaining < (1.0 - share) * self.trials.fit.residual_squares[rows.fast]))
+
+    @property
+    def _state(self) -> FloatArray:
+        """All parameters and minus one ``(D + 1,)``."""
+        return self.trials.states @ np.append(1.0, self.values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +124,9 @@ class Trials:
     @cached_property
     def _squares(self) -> FloatArray:
         """Quadratic forms ``(n, k + 1, k + 1)`` of the residual squares of :attr:`channels`."""
-        return np.array([self.rows.products.combined(channel, self.states) for channel in self.channels])
+        size = len(self.columns) + 1
+        squares = [self.rows.products.combined(channel, self.states) for channel in self.channels.tolist()]
+        return np.array(squares).reshape(-1, size, size)
 
     @cached_property
     def _others(self) -> FloatArray:
