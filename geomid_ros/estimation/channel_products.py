@@ -164,9 +164,15 @@ class ChannelProducts(_Products):
 
     def having(self, columns: IntArray) -> IntArray:
         """Channels ``(n,)`` in which some of ``columns`` is not zero."""
-        rows = self._rows[:, columns]
-        nonzero = [np.any(block[of[of >= 0], of[of >= 0]]) for block, of in zip(self.blocks, rows, strict=True)]
-        return np.flatnonzero(nonzero)
+        return np.flatnonzero(np.any(self._nonzero[:, columns], axis=1))
+
+    @cached_property
+    def _nonzero(self) -> BoolArray:
+        """True for the columns that are not zero in a channel ``(C, size)``."""
+        nonzero = np.zeros((len(self), self.size), dtype=np.bool_)
+        for of_channel, places, block in zip(nonzero, self.places, self.blocks, strict=True):
+            of_channel[places] = np.diagonal(block) > 0.0
+        return nonzero
 
     def combined(self, channel: int, combinations: FloatArray) -> FloatArray:
         """Gram matrix ``(k, k)`` of linear ``combinations (size, k)`` of the columns and the target of a channel."""

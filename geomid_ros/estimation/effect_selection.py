@@ -123,12 +123,15 @@ def _trials(fit: CoefficientFit, joints: Collection[int], more: Sequence[int] = 
 def _best_shapes(trials: Trials, columns: IntArray) -> Trial:
     """Give the effects of the trials among ``columns`` their most likely shapes in which all effects are plausible, one
     after the other."""
-    best = trials.trial(columns)
+    (best,) = trials.trials([columns])
     for mechanism in trials.rows.mechanisms(np.intersect1d(columns, trials.columns)):
         shapes = trials.rows.shapes[mechanism]
+        if len(shapes) == 1:
+            continue
         others = np.setdiff1d(best.all_columns, shapes)
-        tried = [trials.trial(np.append(others, shape)) for shape in np.setdiff1d(shapes, best.all_columns)]
-        best = min([best, *(trial for trial in tried if trial.is_plausible)], key=lambda trial: trial.score)
+        tried = trials.trials([np.append(others, shape) for shape in np.setdiff1d(shapes, best.all_columns)])
+        better = (trial for trial in sorted(tried, key=lambda trial: trial.score) if trial.score < best.score)
+        best = next((trial for trial in better if trial.is_plausible), best)
     return best
 
 

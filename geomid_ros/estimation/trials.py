@@ -9,15 +9,15 @@ response, and that of the noise of the other channels, changes the objective in 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
-from geomid_ros.estimation.tolerances import ROUNDS
-from geomid_ros.geometry import spd
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.estimation.tolerances import ROUNDING, ROUNDS
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _LEAST_DECREASE = 1e-3  # of the score
 
@@ -49,7 +49,7 @@ class Trial:
     @property
     def _state(self) -> FloatArray:
         """All parameters and minus one ``(D + 1,)``."""
-        return self.trials.states @ np.append(1.0, self.values)
+        return np.asarray(self.trials.states @ np.append(1.0, self.values))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,8 @@ class Trials:
         crossed = responses.T @ shared.T
         quadratic[:, is_new] += crossed
         quadratic[is_new] += crossed.T
-        quadratic[np.ix_(is_new, is_new)] += self._new[:, new] + known[:, new]
+        scales = self.rows.problem.scales[new - self.rows.first_column]
+        quadratic[np.ix_(is_new, is_new)] += self._new[:, new] + known[:, new] + np.diag(ROUNDING * scales**-2.0)
         slope = responses.T @ fit.evaluation.gradient
         slope[is_new] += self._new @ self.fit.vector + known[:, -1]
         slope[is_new] += known[:, self.fit.columns] @ manifold.offset(prior, fit.point)
@@ -134,49 +135,49 @@ class Trials:
         weights = self.fit.weights[self.channels]
         return np.asarray(self._responses[1] - np.einsum("c,cij->ij", weights, self._squares))
 
-    def squares(self, values: FloatArray) -> FloatArray:
-        """Residual squares ``(n,)`` of :attr:`channels` for ``values (k,)`` of the coefficients."""
-        state = np.append(1.0, values)
-        return np.asarray((self._squares @ state) @ state)
-
-    @cached_property
-    def _least(self) -> FloatArray:
-        return self.fit.fit.objective.profile.least[self.channels]
-
     @cached_property
     def _known(self) -> FloatArray:
         """Effective number of parameters of links that each of :attr:`channels` determines ``(n,)``."""
         return self.fit.determined_by(self.channels)
 
-    def trial(self, columns: IntArray) -> Trial:
-        """Return the minimum with these of the coefficients. Those that would be negative and cannot be are zero."""
-        active = np.isin(self.columns, columns)
-        every = np.union1d(np.setdiff1d(self.fit.all_columns, self.columns), columns)
+    def trials(self, choices: Sequence[IntArray]) -> list[Trial]:
+        """Return the minimum for each choice of columns among the coefficients. Those that would be negative and cannot
+        be are zero."""
+        present = np.setdiff1d(self.fit.all_columns, self.columns)
+        active = np.array([np.isin(self.columns, columns) for columns in choices]).reshape(-1, len(self.columns))
         while True:
-            values = self._minimum(active)
+            values, scores = self._minima(active)
             negative = (values < 0.0) & self.rows.positive[self.columns]
             if not np.any(negative):
-                return Trial(self, every, values, self._score(values))
-            active &= ~negative
-
-    def _minimum(self, active: IntArray) -> FloatArray:
-        """Values ``(k,)`` at the minimum, zero unless ``active``, by reweighting."""
-        values, score = np.zeros(len(self.columns)), np.inf
-        places, counts = np.append(0, 1 + np.flatnonzero(active)), self.rows.counts[self.channels]
-        squares, others = self._squares[:, places[:, None], places], self._others[places[:, None], places]
-        weights = self.fit.weights[self.channels]
-        for _ in range(ROUNDS if len(places) > 1 else 0):
-            form = others + np.einsum("c,cij->ij", weights, squares)
-            values[places[1:] - 1] = spd.solve_or_least_squares(form[1:, 1:], -form[1:, 0])
-            before, score = score, self._score(values)
-            if not score < before - _LEAST_DECREASE:
                 break
-            weights = counts / np.maximum(self.squares(values), self._least)
-        return values
+            active &= ~negative
+        ends = zip(choices, values, scores.tolist(), strict=True)
+        return [Trial(self, np.union1d(present, columns), values, score) for columns, values, score in ends]
 
-    def _score(self, values: FloatArray) -> float:
-        state, squares, counts = np.append(1.0, values), self.squares(values), self.rows.counts[self.channels]
-        noise = np.maximum(squares, self._least)
-        change = np.log(noise / self.fit.residual_squares[self.channels])
-        of_channels = counts @ (change + squares / noise) - self._known @ change
-        return float(self.fit.score + state @ self._others @ state + of_channels)
+    def _minima(self, active: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Values ``(n, k)`` at the minima with the ``active (n, k)`` coefficients, and their scores ``(n,)``, by
+        reweighting the channels."""
+        weights, before = self.fit.weights[self.channels], np.full(len(active), np.inf)
+        used, size = active[:, :, None] & active[:, None, :], len(self.columns)
+        for _ in range(ROUNDS):
+            forms = self._others + np.tensordot(weights, self._squares, 1)
+            inner = np.where(used, forms[..., 1:, 1:], np.eye(size))
+            scales = np.diagonal(inner, axis1=1, axis2=2) ** -0.5
+            inner = scales[:, :, None] * inner * scales[:, None, :] + ROUNDING * np.eye(size)
+            slopes = np.where(active, -scales * forms[..., 1:, 0], 0.0)
+            values = scales * np.linalg.solve(inner, slopes[:, :, None])[:, :, 0]
+            scores, weights = self._scores(values)
+            if not np.any(scores < before - _LEAST_DECREASE):
+                break
+            before = scores
+        return values, scores
+
+    def _scores(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Scores ``(n,)`` for values ``(n, k)`` of the coefficients, and inverse noise variances ``(n, channels)``."""
+        states = np.column_stack([np.ones(len(values)), values])
+        outer = (states[:, :, None] * states[:, None, :]).reshape(len(states), -1)
+        squares = outer @ self._squares.reshape(len(self.channels), outer.shape[1]).T
+        noise = np.maximum(squares, self.fit.fit.objective.profile.least[self.channels])
+        changes, counts = np.log(noise / self.fit.residual_squares[self.channels]), self.rows.counts[self.channels]
+        scores = self.fit.score + outer @ self._others.ravel() + (squares / noise + changes) @ counts
+        return scores - changes @ self._known, counts / noise
