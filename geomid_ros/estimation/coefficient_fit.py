@@ -37,7 +37,7 @@ class CoefficientRows:
     problem: Problem
     at_rest: bool = False
 
-    @property
+    @cached_property
     def first_column(self) -> int:
         """Column of the first coefficient."""
         return self.problem.model.dimension - len(self.problem.model.coefficients)

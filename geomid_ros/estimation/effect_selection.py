@@ -105,7 +105,10 @@ def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
 
 def _reshaped(fit: CoefficientFit, joint: int) -> CoefficientFit:
     """Fit with the shapes that trials of the effects of a joint find, if it is more likely; else the same."""
-    shaped = _best_shapes(_trials(fit, {joint}), fit.all_columns)
+    trials = _trials(fit, {joint})
+    if not len(np.setdiff1d(trials.columns, fit.all_columns)):
+        return fit  # no effect has another shape
+    shaped = _best_shapes(trials, fit.all_columns)
     if np.array_equal(shaped.all_columns, fit.all_columns):
         return fit
     return min(fit, fit.rows.fit(shaped.all_columns, fit, prior_stds=fit.fit.scales), key=lambda one: one.score)
