@@ -9,7 +9,8 @@ effect scatters far more between these than independent residuals would (jackkni
 analysis using generalized linear models", 1986). So an effect must repeat to be significant.
 
 A candidate is tried with the inertias as fitted, and with inertias that stay near the prior, because a link that has
-absorbed an effect hides it. A coefficient that cannot be negative is fixed at zero instead.
+absorbed an effect hides it. A coefficient that cannot be negative is fixed at zero instead. Shapes and candidates are
+tried to first order about the present fit (``trials.py``); only what is taken is fitted.
 
 A robot description can hold some effects but not others: a URDF has damping and friction, but no rotor inertia.
 Dropping an effect from a fit that needs it makes the file worse than one without any effects. So each file has its own
