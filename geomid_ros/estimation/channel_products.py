@@ -162,6 +162,24 @@ class ChannelProducts(_Products):
             total[selected[:, None], places] += weights[channel] * block[rows[channel, selected]]
         return total
 
+    def having(self, columns: IntArray) -> IntArray:
+        """Channels ``(n,)`` in which some of ``columns`` is not zero."""
+        return np.flatnonzero(np.any(self._nonzero[:, columns], axis=1))
+
+    @cached_property
+    def _nonzero(self) -> BoolArray:
+        """True for the columns that are not zero in a channel ``(C, size)``."""
+        nonzero = np.zeros((len(self), self.size), dtype=np.bool_)
+        for of_channel, places, block in zip(nonzero, self.places, self.blocks, strict=True):
+            of_channel[places] = np.diagonal(block) > 0.0
+        return nonzero
+
+    def combined(self, channel: int, combinations: FloatArray) -> FloatArray:
+        """Gram matrix ``(k, k)`` of linear ``combinations (size, k)`` of the columns and the target of a channel."""
+        weights = combinations[self.places[channel]]
+        (used,) = np.nonzero(np.any(weights, axis=1))
+        return np.asarray(weights[used].T @ self.blocks[channel][used[:, None], used] @ weights[used])
+
     @cached_property
     def _rows(self) -> IntArray:
         """Row of each column in each channel's block ``(C, size)``; -1 if the channel does not have it."""

@@ -37,7 +37,7 @@ class CoefficientRows:
     problem: Problem
     at_rest: bool = False
 
-    @property
+    @cached_property
     def first_column(self) -> int:
         """Column of the first coefficient."""
         return self.problem.model.dimension - len(self.problem.model.coefficients)
@@ -114,6 +114,20 @@ class CoefficientRows:
         form = coefficient.effect.column_parameters[coefficient.index]
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
+    def are_plausible(self, columns: IntArray, parameters: FloatArray) -> BoolArray:
+        """True for each optional coefficient among ``columns`` that is in its range, and whose effect does what it
+        stands for given the others at its place, for all ``parameters (D,)``."""
+        chosen = [(column, self.coefficient(column)) for column in np.intersect1d(columns, self.optional).tolist()]
+        peers: dict[Place, dict[Effect, float]] = {c.place: {} for _, c in chosen}
+        for column in columns[columns >= self.first_column] if chosen else ():
+            coefficient = self.coefficient(column)
+            if coefficient.place in peers:
+                peers[coefficient.place][coefficient.effect] = float(parameters[column])
+        return np.array(
+            [self.allows(column, parameters[column]) and c.effect.is_supported(peers[c.place]) for column, c in chosen],
+            dtype=np.bool_,
+        )
+
     @cached_property
     def products(self) -> ChannelProducts:
         """Gram matrices of all columns and the target, per group, times the independent fraction of the rows."""
@@ -130,7 +144,7 @@ class CoefficientRows:
     def _prior(self, scales: FloatArray) -> tuple[ParameterManifold, Point]:
         """Manifold with coefficients of these scales, and the prior without effects."""
         manifold = ParameterManifold(len(self.problem.default_stds), 0, scales)
-        return manifold, manifold.point(np.append(self.problem.prior[: self.first_column], np.zeros(len(scales))))
+        return manifold, manifold.point(np.append(self.problem.prior_inertias, np.zeros(len(scales))))
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -252,20 +266,34 @@ class CoefficientFit:
         """Inverse noise variances of the groups."""
         return self.rows.counts / self.residual_squares
 
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """Inverse of the Hessian ``(fitted, fitted)``."""
+        return spd.inverse(self.fit.hessian)
+
+    def determined_by(self, channels: IntArray) -> FloatArray:
+        """Effective number ``(n,)`` of parameters of links that each of these groups determines."""
+        products, traces = self.rows.products, []
+        for places, block in [(products.places[channel], products.blocks[channel]) for channel in channels.tolist()]:
+            links = places[places < self.rows.first_column]
+            traces.append(np.sum(self._links_covariance[links[:, None], links] * block[: len(links), : len(links)]))
+        return self.weights[channels] * np.array(traces, dtype=np.float64)
+
+    @cached_property
+    def _links_covariance(self) -> FloatArray:
+        """Covariance of the links' parameters ``(10 links, 10 links)``, for given coefficients."""
+        manifold, inverse = self.fit.objective.manifold, self.inverse
+        links, real, blocks = manifold.inertial, manifold.real, np.swapaxes(self.fit.point.links_jacobian, -1, -2)
+        covariance = inverse[links, links] - inverse[links, real] @ np.linalg.solve(
+            inverse[real, real], inverse[real, links]
+        )
+        alone, none = ParameterManifold(manifold.links, 0, np.zeros(0)), np.zeros(0)
+        return alone.by_blocks(alone.by_blocks(covariance, blocks, none).T, blocks, none)
+
     @property
     def is_plausible(self) -> BoolArray:
-        """True for each of the :attr:`chosen_columns` that is in its range, and whose effect does what it stands for
-        given the others at its place."""
-        chosen, sizes = [(column, self.rows.coefficient(column)) for column in self.chosen_columns], self.parameters
-        peers: dict[Place, dict[Effect, float]] = {c.place: {} for _, c in chosen}
-        for column in self.all_columns[self.all_columns >= self.rows.first_column] if chosen else ():
-            coefficient = self.rows.coefficient(column)
-            if coefficient.place in peers:
-                peers[coefficient.place][coefficient.effect] = float(sizes[column])
-        return np.array(
-            [self.rows.allows(column, sizes[column]) and c.effect.is_supported(peers[c.place]) for column, c in chosen],
-            dtype=np.bool_,
-        )
+        """See :meth:`CoefficientRows.are_plausible`, for each of the :attr:`chosen_columns`."""
+        return self.rows.are_plausible(self.all_columns, self.parameters)
 
     @cached_property
     def chosen_columns(self) -> IntArray:
@@ -287,7 +315,7 @@ class CoefficientFit:
         )
 
     @cached_property
-    def _vector(self) -> FloatArray:
+    def vector(self) -> FloatArray:
         """All parameters and minus one ``(n + 1,)``; the columns and the target times it are the residual."""
         return np.append(self.parameters, -1.0)
 
@@ -298,14 +326,14 @@ class CoefficientFit:
         slopes = np.zeros((problem.summary.folds, self.rows.size + 1))
         for channel, weight, parts in zip(problem.summary.groups, self.weights, problem.summary.parts(), strict=False):
             places = np.append(channel.columns, self.rows.size)
-            residuals = [part.factor @ self._vector[places] for part in parts]
+            residuals = [part.factor @ self.vector[places] for part in parts]
             slopes[:, places] += weight * np.array([r @ part.factor for r, part in zip(residuals, parts, strict=True)])
         slopes *= problem.independent_fraction
         return slopes[np.any(slopes, axis=1)][:, self.columns]
 
     def squares_of(self, columns: IntArray) -> FloatArray:
         """Squares of some of its coefficients in units of their variances."""
-        inverse, manifold = spd.inverse(self.fit.hessian), self.fit.objective.manifold
+        inverse, manifold = self.inverse, self.fit.objective.manifold
         slopes = manifold.whiten(self.fit.point, self._slopes)
         real = self.columns >= self.rows.first_column
         variances = np.diag(inverse)[real]
@@ -319,9 +347,9 @@ class CoefficientFit:
         """Increase of twice the log-likelihood by each of other ``columns``, by the score test; zero for a coefficient
         that would be negative and cannot be."""
         products = self.rows.products.some(columns, self.weights)
-        values, squares = -products @ self._vector, products[np.arange(len(columns)), columns]
+        values, squares = -products @ self.vector, products[np.arange(len(columns)), columns]
         shared = self.fit.objective.manifold.whiten(self.fit.point, products[:, self.columns])
-        unexplained = squares - np.sum(shared.T * spd.solve_or_least_squares(self.fit.hessian, shared.T), axis=0)
+        unexplained = squares - np.sum(shared * (shared @ self.inverse), axis=1)
         useful = ((values >= 0.0) | ~self.rows.positive[columns]) & (unexplained > ROUNDING * squares)
         return np.asarray(np.where(useful, values**2 / np.where(useful, unexplained, 1.0), 0.0))
 

@@ -9,7 +9,8 @@ effect scatters far more between these than independent residuals would (jackkni
 analysis using generalized linear models", 1986). So an effect must repeat to be significant.
 
 A candidate is tried with the inertias as fitted, and with inertias that stay near the prior, because a link that has
-absorbed an effect hides it. A coefficient that cannot be negative is fixed at zero instead.
+absorbed an effect hides it. A coefficient that cannot be negative is fixed at zero instead. Shapes and candidates are
+tried to first order about the present fit (``trials.py``); only what is taken is fitted.
 
 A robot description can hold some effects but not others: a URDF has damping and friction, but no rotor inertia.
 Dropping an effect from a fit that needs it makes the file worse than one without any effects. So each file has its own
@@ -33,6 +34,7 @@ from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
 from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
+from geomid_ros.estimation.trials import Trial, Trials
 from geomid_ros.estimation.uncertainty import fold_at
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.coefficients import Coefficient, Mechanism
@@ -78,35 +80,63 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
     fit = _without_insignificant(_shaped(fit, range(len(rows.problem.model.robot.joints))))
     tried: set[Mechanism] = set()
     while len(candidates := rows.candidates(fit.all_columns, tried)):
-        column, larger = _best(fit, candidates)
-        if larger is None:
+        column, columns = _best(fit, candidates)
+        if columns is None:
             break
         tried.add(rows.mechanism(column))
-        larger = _shaped(larger, joints_of(rows.coefficient(column).place))
-        if np.all(larger.is_plausible) and larger.leaves_less(fit, _VISIBLE):
-            fit = larger
+        if len(columns):
+            fit = min((rows.fit(columns, start) for start in _starts(fit)), key=lambda larger: larger.score)
+            fit = _shaped(fit, joints_of(rows.coefficient(column).place))
     return _without_insignificant(fit)
 
 
+def _starts(fit: CoefficientFit) -> tuple[CoefficientFit, CoefficientFit]:
+    """A fit with the links as fitted, and with links that stay near the prior."""
+    return fit, fit.with_default_priors
+
+
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
-    """Give every effect of ``joints`` its most likely shape, one effect after the other."""
-    rows = fit.rows
-    for mechanism in rows.mechanisms(fit.all_columns):
-        shapes = rows.shapes[mechanism]
-        if len(shapes) > 1 and set(joints).intersection(joints_of(mechanism[1])):
-            fit = _best_shape(fit, shapes)
-    return rows.fit(fit.all_columns, fit)
+    """Give every effect of ``joints`` its most likely shape, one joint after the other."""
+    for joint in joints:
+        fit, better = _reshaped(fit, joint), fit
+        while better is not fit:
+            fit, better = _reshaped(fit, joint), fit
+    return fit.rows.fit(fit.all_columns, fit)
 
 
-def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
-    """Give one effect its most likely shape among the columns ``shapes`` in which all effects are plausible."""
-    others = np.setdiff1d(fit.all_columns, shapes)
-    tried = [
-        fit.rows.fit(np.sort(np.append(others, shape)), fit, prior_stds=fit.fit.scales)
-        for shape in np.setdiff1d(shapes, fit.all_columns)
-    ]
-    plausible = [shaped for shaped in tried if np.all(shaped.is_plausible)]
-    return min([fit, *plausible], key=lambda shaped: shaped.score)
+def _reshaped(fit: CoefficientFit, joint: int) -> CoefficientFit:
+    """Fit with the shapes that trials of the effects of a joint find, if it is more likely; else the same."""
+    trials = _trials(fit, {joint})
+    if not len(np.setdiff1d(trials.columns, fit.all_columns)):
+        return fit  # no effect has another shape
+    shaped = _best_shapes(trials, fit.all_columns)
+    if np.array_equal(shaped.all_columns, fit.all_columns):
+        return fit
+    return min(fit, fit.rows.fit(shaped.all_columns, fit, prior_stds=fit.fit.scales), key=lambda one: one.score)
+
+
+def _trials(fit: CoefficientFit, joints: Collection[int], more: Sequence[int] = ()) -> Trials:
+    """Trials of all shapes of the effects of ``joints`` that a fit has, and of ``more`` columns."""
+    columns = list(more)
+    for mechanism in fit.rows.mechanisms(fit.all_columns):
+        if set(joints).intersection(joints_of(mechanism[1])):
+            columns += fit.rows.shapes[mechanism]
+    return Trials(fit, np.unique(np.array(columns, dtype=np.int64)))
+
+
+def _best_shapes(trials: Trials, columns: IntArray) -> Trial:
+    """Give the effects of the trials among ``columns`` their most likely shapes in which all effects are plausible, one
+    after the other."""
+    (best,) = trials.trials([columns])
+    for mechanism in trials.rows.mechanisms(np.intersect1d(columns, trials.columns)):
+        shapes = trials.rows.shapes[mechanism]
+        if len(shapes) == 1:
+            continue
+        others = np.setdiff1d(best.all_columns, shapes)
+        tried = trials.trials([np.append(others, shape) for shape in np.setdiff1d(shapes, best.all_columns)])
+        better = (trial for trial in sorted(tried, key=lambda trial: trial.score) if trial.score < best.score)
+        best = next((trial for trial in better if trial.is_plausible), best)
+    return best
 
 
 def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
@@ -119,15 +149,20 @@ def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
     return fit
 
 
-def _best(present: CoefficientFit, candidates: IntArray) -> tuple[int, CoefficientFit | None]:
-    """Return the candidate column that improves a fit most, and the fit with it; None if that is not significant."""
-    starts = (present, present.with_default_priors)
+def _best(present: CoefficientFit, candidates: IntArray) -> tuple[int, IntArray | None]:
+    """Return the candidate column that improves a fit most, and the columns with it in its best shape: none if it is
+    not visible or not plausible then, None if it is not significant."""
+    starts, rows = _starts(present), present.rows
     gains = np.max([start.gains(candidates) for start in starts], axis=0)
     column = int(candidates[np.argmax(gains)])
     if np.max(gains) < SIGNIFICANT_STDS**2:
         return column, None
-    columns = np.sort(np.append(present.all_columns, column))
-    return column, min((present.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
+    joints, shapes = joints_of(rows.coefficient(column).place), rows.shapes[rows.mechanism(column)]
+    columns = np.append(present.all_columns, column)
+    tried = [_best_shapes(_trials(start, joints, shapes), columns) for start in starts]
+    best = min(tried, key=lambda trial: trial.score)
+    is_taken = best.is_plausible and any(trial.leaves_less(_VISIBLE) for trial in tried)
+    return column, best.all_columns if is_taken else best.all_columns[:0]
 
 
 def fit_files(

@@ -200,7 +200,10 @@ def _coupled_prior(settings: EstimatorSettings, problem: Problem) -> CoupledPrio
 def _at_prior(settings: EstimatorSettings, problem: Problem) -> Problem:
     """Return the problem with the rows of its coupled prior, if it has one, linearised at the prior."""
     coupled = _coupled_prior(settings, problem)
-    return problem if coupled is None else coupled.problem_at(coupled.problem.prior_point, coupled.trusted)
+    if coupled is None:
+        return problem
+    rows = coupled.rows_at(coupled.mean, coupled.trusted)
+    return replace(coupled.problem, known=coupled.problem.known.plus(rows))
 
 
 def _kept_columns(model: MeasurementModel, warm: WarmStart) -> IntArray:

@@ -130,12 +130,15 @@ class CoupledPrior(ABC):
 
     def problem_at(self, point: Point, weights: Mapping[str, float]) -> Problem:
         """Return the problem with the prior's rows, linearised at ``point``, for these weights of the blocks."""
-        tangent, root = self.tangent(point), self.root(weights)
+        return self.problem.with_known_rows(self.rows_at(self.manifold.point(point.parameters[self.columns]), weights))
+
+    def rows_at(self, point: Point, weights: Mapping[str, float]) -> WeighedRows:
+        """Rows of the prior, linearised at a ``point`` of its manifold, for these weights of the blocks."""
+        tangent, root = self.manifold.log(self.mean, point), self.root(weights)
         blocks, diagonal = self.manifold.exp_jacobian(self.mean, tangent)
         rows = np.zeros((len(root), self.problem.model.dimension))
         rows[:, self.columns] = self.manifold.by_blocks(root, np.asarray(np.linalg.inv(blocks)), 1.0 / diagonal)
-        targets = rows @ point.parameters - root @ tangent
-        return self.problem.with_known_rows(WeighedRows(rows, targets))
+        return WeighedRows(rows, rows[:, self.columns] @ point.parameters - root @ tangent)
 
     def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
         """Weights of the blocks, from the expected squares of their coordinates at a fit."""
@@ -174,7 +177,7 @@ class AlikePrior(CoupledPrior):
             problem=separate,
             columns=columns,
             manifold=manifold,
-            mean=manifold.point(separate.prior[columns]),
+            mean=manifold.point(problem.prior_inertias),
             names=tuple(name for group in parts for name in group.names),
             freedom=CERTAINTY,
             parts=parts,

@@ -12,6 +12,7 @@ from geomid_ros.estimation.objective import dual_metric, row_weights, rows_at
 from geomid_ros.estimation.starting_point import (
     DEFAULT_PRIOR_STD,
     first_sigmas,
+    prior_inertias,
     prior_parameters,
     prior_stds_of,
     scales_of_coefficients,
@@ -101,6 +102,11 @@ class Problem:
     def prior(self) -> FloatArray:
         """Parameters ``(D,)`` that distances are measured from."""
         return prior_parameters(self.model, self.summary, self.given_parameters)
+
+    @property
+    def prior_inertias(self) -> FloatArray:
+        """Inertias ``(10 links,)`` of the :attr:`prior`, which need no fit."""
+        return prior_inertias(self.model, self.given_parameters)
 
     @cached_property
     def prior_point(self) -> Point:

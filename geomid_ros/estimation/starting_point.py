@@ -98,6 +98,15 @@ def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> Float
     return np.where(unknown, np.array(expected, dtype=np.float64), np.nan)
 
 
+def prior_inertias(model: MeasurementModel, given: FloatArray | None) -> FloatArray:
+    """Inertias of the prior ``(10 links,)``: see :func:`prior_parameters`."""
+    if given is None:
+        return model.nominal_inertias
+    _check_possible(given, model)
+    inertial = given[: len(model.nominal_inertias)]
+    return np.where(np.isfinite(inertial), inertial, model.nominal_inertias)
+
+
 def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatArray | None) -> FloatArray:
     """Parameters of the prior ``(D,)``.
 
@@ -110,12 +119,8 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
     Raises:
         InputError: ``given`` is no point of the model's manifold.
     """
-    parameters = model.nominal_parameters
     first = len(model.nominal_inertias)
-    if given is not None:
-        _check_possible(given, model)
-        inertial = given[:first]
-        parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
+    parameters = np.append(prior_inertias(model, given), model.nominal_parameters[first:])
     sizes = channel_sizes(summary, model.dimension)
     factors, counts = summary.factors(), np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
     described = model.described_coefficients

@@ -15,7 +15,8 @@ from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.model.effects import DEFAULT_CANDIDATES, identifiable
+from geomid_ros.estimation.trials import Trials
+from geomid_ros.model.effects import DEFAULT_CANDIDATES, AtJoint, identifiable
 from geomid_ros.model.effects.friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.weighed_masses import weighed_rows
@@ -314,3 +315,22 @@ def test_what_a_column_promises_is_what_a_fit_with_it_finds() -> None:
     larger = rows.fit(columns(small, (effect, 1)), without)
     (gain,) = without.gains(np.array([column]))
     assert gain == pytest.approx(without.score - larger.score, rel=0.3)
+
+
+@pytest.mark.parametrize("prior_std", [1.0, 0.2])
+def test_a_trial_is_a_fit_to_second_order(prior_std: float) -> None:
+    """Its score, for a small effect that is added, and for another shape of one; the links' prior stds are given."""
+    case = planted("arm3", 1, "")
+    small = case.with_efforts(case.samples.effort + 0.02 * added("spring", 1, case, case.noiseless))
+    rows, own = CoefficientRows(problem(small)), columns(small)
+    present = rows.fit(own, prior_stds=prior_std * rows.problem.default_stds)
+    shapes = next(rows.shapes[m] for m in rows.mechanisms(own) if m[:2] == ("coulomb_friction", AtJoint(1)))
+    (used,), (spring,) = np.intersect1d(shapes, own), np.setdiff1d(columns(small, ("spring", 1)), own)
+    nearest = shapes[shapes.index(used) + 1]
+    choices = [np.append(own, spring), np.append(np.setdiff1d(own, used), nearest)]
+    for columns_, trial in zip(choices, Trials(present, np.unique([*shapes, spring])).trials(choices), strict=True):
+        fitted = rows.fit(np.sort(columns_), present, prior_stds=present.fit.scales)
+        assert trial.all_columns.tolist() == sorted(columns_.tolist())
+        assert trial.score - present.score == pytest.approx(fitted.score - present.score, rel=0.02, abs=0.1)
+        assert abs(fitted.score - present.score) > 10.0
+        assert trial.leaves_less(0.05) == fitted.leaves_less(present, 0.05)
