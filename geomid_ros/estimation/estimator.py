@@ -23,6 +23,7 @@ from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import effect_columns
 from geomid_ros.estimation.problem import Problem, required_columns, subproblem
 from geomid_ros.estimation.solvers import SOLVERS, Solution
+from geomid_ros.estimation.starting_point import channel_sizes
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -137,7 +138,7 @@ def estimate(
         _pooled(model, summary),
         given_parameters=prior,
         known=weighed_rows(model, settings.known).plus(known),
-        sigmas=_configured_sigmas(model, settings),
+        sigmas=_known_sigmas(model, settings, summary),
         gamma=settings.gamma,
         independent_fraction=filtered_fraction(summary, settings.cutoff),
         given_stds=prior_stds,
@@ -386,6 +387,17 @@ def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> 
         if name not in names:
             raise unknown_name("channel with a configured standard deviation", name, names)
     return np.array([configured.get(name, np.nan) for name in names])
+
+
+def _known_sigmas(model: MeasurementModel, settings: EstimatorSettings, summary: RowSummary) -> FloatArray:
+    """Standard deviations ``(channels,)`` that are not estimated, NaN elsewhere: the configured ones, and those of
+    joints that never moved. Their dry friction keeps one unknown value, as large as the effort at most, so all of their
+    rows together count as one row of that standard deviation."""
+    *moving, rest = summary.counts().reshape(REGIMES, -1)
+    common = channel_sizes(summary, model.dimension) * np.sqrt(filtered_fraction(summary, settings.cutoff) * rest)
+    still = (rest > 0.0) & ~np.any(moving, axis=0)
+    configured = _configured_sigmas(model, settings)
+    return np.where(still & np.isnan(configured), common, configured)
 
 
 def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
