@@ -259,13 +259,25 @@ def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Minimum:
     """End of a solve: the fit, the minimum of the chosen objective, how many rows that one leaves out, the errors of
-    the parameters if the constants of effects are exact, and the effects with these errors."""
+    the parameters if the constants of effects are exact, and the effects with these errors. ``errors_for`` makes them
+    for other ``prior_weights (D,)``."""
 
     fitted: Fit
     solution: Solution
     set_aside: int
     errors: uncertainty.Uncertainty
     effects: tuple[EffectEstimate, ...]
+    errors_for: Callable[..., uncertainty.Uncertainty]
+    prior_weights: FloatArray
+
+    @property
+    def link_errors(self) -> uncertainty.Uncertainty:
+        """Errors of the links: a positive coefficient near zero is no better known than a real one of its channel, and
+        neither is a link that the data cannot tell from it."""
+        problem, assumed = self.fitted.problem, self.fitted.assumed_prior_stds
+        wider = np.append(assumed[problem.manifold.inertial], problem.default_coefficient_stds(self.solution.point))
+        wider = np.maximum(wider, assumed)
+        return self.errors_for(self.prior_weights * (assumed / wider) ** 2, assumed_prior_stds=wider)
 
 
 def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
@@ -283,19 +295,27 @@ def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
         filtered_fraction(summary, settings.cutoff, per_period)
         for per_period in (WHITE_ROWS_PER_PERIOD, INDEPENDENT_ROWS_PER_PERIOD)
     )
-    errors = uncertainty.estimate_uncertainty(
+    errors_for = partial(
+        uncertainty.estimate_uncertainty,
         [uncertainty.fold_at(manifold, solution.point, products) for products in fitted.fold_products],
         _known_at(manifold, solution.point, known),
         1.0 / problem.independent_fraction,
-        prior_weights,
-        manifold.log(solution.point, problem.prior_point),
-        _parameter_groups(problem),
+        from_prior=manifold.log(solution.point, problem.prior_point),
+        groups=_parameter_groups(problem),
         least_inflation=1.0 / white * independent / problem.independent_fraction,
-        assumed_prior_stds=fitted.assumed_prior_stds,
         expected=_information_at(manifold, solution.point, known.prior_rows),
     )
+    errors = errors_for(prior_weights, assumed_prior_stds=fitted.assumed_prior_stds)
     effects = estimate_parts.effects(problem, solution.point, errors)
-    return _Minimum(fitted=fitted, solution=solution, set_aside=set_aside, errors=errors, effects=effects)
+    return _Minimum(
+        fitted=fitted,
+        solution=solution,
+        set_aside=set_aside,
+        errors=errors,
+        effects=effects,
+        errors_for=errors_for,
+        prior_weights=prior_weights,
+    )
 
 
 def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Iterable[str]) -> Estimate:
@@ -303,7 +323,8 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
     fitted, solution = minimum.fitted, minimum.solution
     problem, point = fitted.problem, solution.point
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
-    errors = minimum.errors.with_unknown_constants(_grid_steps(columns, whole, fitted, point))
+    steps = _grid_steps(columns, whole, fitted, point)
+    errors, link_errors = (found.with_unknown_constants(steps) for found in (minimum.errors, minimum.link_errors))
     parameters = np.zeros(whole.model.dimension)
     parameters[columns] = point.parameters
     factor = np.sqrt(min(errors.independent_fraction, problem.independent_fraction))
@@ -314,7 +335,7 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=minimum.set_aside,
-        links=estimate_parts.links(problem, point, errors, _outliers(fitted)),
+        links=estimate_parts.links(problem, point, link_errors, _outliers(fitted)),
         effects=estimate_parts.effects(problem, point, errors),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
