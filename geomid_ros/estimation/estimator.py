@@ -397,8 +397,9 @@ def _outlier_warnings(model: MeasurementModel, fitted: Fit, point: Point) -> Ite
             if abs(np.log(after[3, 3] / before[3, 3])) < WITHIN:
                 change = "changed its centre of mass or its inertia"
             yield (
-                f"link '{name}' {change} ({ratio:.1f} default prior std); it probably absorbs an unmodelled "
-                "effect, such as a spring, a payload or other friction; run 'geomid gap'"
+                f"link '{name}' {change} ({ratio:.1f} default prior std): the URDF's inertia is wrong or a "
+                "placeholder, or the link absorbs an unmodelled effect, such as a spring, a payload or other friction; "
+                "check the URDF, or run 'geomid gap'"
             )
 
 
