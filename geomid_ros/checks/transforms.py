@@ -18,9 +18,9 @@ import numpy as np
 from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, STEP, TILT, FaultCandidate, is_probable
 from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.effort_data import EffortData
-from geomid_ros.checks.evidence import LEAST_SIGMA, MOST, Evidence, follows
+from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence, follows
 from geomid_ros.model.robot import STANDARD_GRAVITY
-from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, Samples
+from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray
 
 UNITS = {
@@ -119,19 +119,26 @@ def _magnitudes(subject: EffortData) -> Iterator[FaultCandidate]:
 
 
 def _without_sign(subject: EffortData) -> list[int]:
-    """Channels that have lost their sign."""
+    """Channels that have lost their sign; the dry friction of a joint that never moves may keep one."""
     low, high = np.quantile(subject.measured, (_NEARLY, 1.0 - _NEARLY), axis=0)
     one_sided = np.minimum(-low, high) <= _NEARLY * np.maximum(-low, high)
-    shares = [np.mean(_expected(subject, channel) > 0.0) for channel in range(len(subject.joints))]
-    return [channel for channel, share in enumerate(shares) if one_sided[channel] and _NEARLY < share < 1.0 - _NEARLY]
+    moves = np.any(np.abs(subject.samples.velocity[:, subject.joints]) > REST_SPEED, axis=0)
+    concerned = np.flatnonzero(one_sided & moves).tolist()
+    shares = [np.mean(_expected(subject, channel) > 0.0) for channel in concerned]
+    return [channel for channel, share in zip(concerned, shares, strict=True) if _NEARLY < share < 1.0 - _NEARLY]
 
 
 def _expected(subject: EffortData, channel: int) -> FloatArray:
-    """Prediction or velocity ``(N,)``, whichever an effort follows by its magnitude. An effort that is always about as
-    large, and mostly a weight, as of a vertical axis, hardly changes with either."""
+    """Prediction or velocity ``(N,)``, whichever an effort follows by its magnitude.
+
+    The effort of a vertical axis, a weight and friction, hardly changes with either. With or without its sign, the mean
+    of its magnitude is the larger of the two, and the least of it is less by the smaller one: the prediction says which
+    one is the weight. If it is the larger one, no sign changes.
+    """
     effort, speed = np.abs(subject.measured[:, channel]), subject.samples.velocity[:, subject.joints[channel]]
     predicted = subject.predicted[:, channel]
-    if min(np.abs(np.mean(predicted)), np.quantile(effort, _NEARLY)) > MOST * np.mean(effort):
+    weight, mean, least = np.abs(np.mean(predicted)), np.mean(effort), np.quantile(effort, _NEARLY)
+    if weight**2 > mean * (mean - least):  # nearer to the larger one by its ratio
         return predicted
     return max((predicted, speed), key=lambda one: float(np.nan_to_num(np.corrcoef(effort, np.abs(one))[0, 1])))
 

@@ -154,9 +154,14 @@ class CoefficientRows:
 
     @property
     def fast(self) -> slice:
-        """Groups of fast motion, in which an effect must be visible: near rest the shape of dry friction may absorb
-        it."""
+        """Groups of fast motion."""
         return slice(len(self.problem.model.channels))
+
+    @property
+    def visible(self) -> IntArray:
+        """Groups with rows in which an effect must be visible: those of fast motion, because near rest the shape of dry
+        friction may absorb it; all for effects with memory, which are about rest."""
+        return np.flatnonzero(self.counts if self.at_rest else self.counts[self.fast])
 
     @cached_property
     def floors(self) -> FloatArray:
@@ -308,9 +313,9 @@ class CoefficientFit:
     def leaves_less(self, smaller: CoefficientFit, share: float) -> bool:
         """True if it reduces the residual of a channel by this fraction, with links as fitted or links that stay near
         the prior."""
-        pairs, fast = ((self, smaller), (self.with_default_priors, smaller.with_default_priors)), self.rows.fast
+        pairs, visible = ((self, smaller), (self.with_default_priors, smaller.with_default_priors)), self.rows.visible
         return any(
-            bool(np.any(one.residual_squares[fast] < (1.0 - share) * other.residual_squares[fast]))
+            bool(np.any(one.residual_squares[visible] < (1.0 - share) * other.residual_squares[visible]))
             for one, other in pairs
         )
 

@@ -23,6 +23,7 @@ from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import effect_columns
 from geomid_ros.estimation.problem import Problem, required_columns, subproblem
 from geomid_ros.estimation.solvers import SOLVERS, Solution
+from geomid_ros.estimation.starting_point import channel_sizes
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -137,7 +138,7 @@ def estimate(
         _pooled(model, summary),
         given_parameters=prior,
         known=weighed_rows(model, settings.known).plus(known),
-        sigmas=_configured_sigmas(model, settings),
+        sigmas=_known_sigmas(model, settings, summary),
         gamma=settings.gamma,
         independent_fraction=filtered_fraction(summary, settings.cutoff),
         given_stds=prior_stds,
@@ -261,13 +262,25 @@ def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Minimum:
     """End of a solve: the fit, the minimum of the chosen objective, how many rows that one leaves out, the errors of
-    the parameters if the constants of effects are exact, and the effects with these errors."""
+    the parameters if the constants of effects are exact, and the effects with these errors. ``errors_for`` makes them
+    for other ``prior_weights (D,)``."""
 
     fitted: Fit
     solution: Solution
     set_aside: int
     errors: uncertainty.Uncertainty
     effects: tuple[EffectEstimate, ...]
+    errors_for: Callable[..., uncertainty.Uncertainty]
+    prior_weights: FloatArray
+
+    @property
+    def link_errors(self) -> uncertainty.Uncertainty:
+        """Errors of the links: a positive coefficient near zero is no better known than a real one of its channel, and
+        neither is a link that the data cannot tell from it."""
+        problem, assumed = self.fitted.problem, self.fitted.assumed_prior_stds
+        wider = np.append(assumed[problem.manifold.inertial], problem.default_coefficient_stds(self.solution.point))
+        wider = np.maximum(wider, assumed)
+        return self.errors_for(self.prior_weights * (assumed / wider) ** 2, assumed_prior_stds=wider)
 
 
 def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
@@ -285,19 +298,27 @@ def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
         filtered_fraction(summary, settings.cutoff, per_period)
         for per_period in (WHITE_ROWS_PER_PERIOD, INDEPENDENT_ROWS_PER_PERIOD)
     )
-    errors = uncertainty.estimate_uncertainty(
+    errors_for = partial(
+        uncertainty.estimate_uncertainty,
         [uncertainty.fold_at(manifold, solution.point, products) for products in fitted.fold_products],
         _known_at(manifold, solution.point, known),
         1.0 / problem.independent_fraction,
-        prior_weights,
-        manifold.log(solution.point, problem.prior_point),
-        _parameter_groups(problem),
+        from_prior=manifold.log(solution.point, problem.prior_point),
+        groups=_parameter_groups(problem),
         least_inflation=1.0 / white * independent / problem.independent_fraction,
-        assumed_prior_stds=fitted.assumed_prior_stds,
         expected=_information_at(manifold, solution.point, known.prior_rows),
     )
+    errors = errors_for(prior_weights, assumed_prior_stds=fitted.assumed_prior_stds)
     effects = estimate_parts.effects(problem, solution.point, errors)
-    return _Minimum(fitted=fitted, solution=solution, set_aside=set_aside, errors=errors, effects=effects)
+    return _Minimum(
+        fitted=fitted,
+        solution=solution,
+        set_aside=set_aside,
+        errors=errors,
+        effects=effects,
+        errors_for=errors_for,
+        prior_weights=prior_weights,
+    )
 
 
 def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Iterable[str]) -> Estimate:
@@ -305,7 +326,8 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
     fitted, solution = minimum.fitted, minimum.solution
     problem, point = fitted.problem, solution.point
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
-    errors = minimum.errors.with_unknown_constants(_grid_steps(columns, whole, fitted, point))
+    steps = _grid_steps(columns, whole, fitted, point)
+    errors, link_errors = (found.with_unknown_constants(steps) for found in (minimum.errors, minimum.link_errors))
     parameters = np.zeros(whole.model.dimension)
     parameters[columns] = point.parameters
     factor = np.sqrt(min(errors.independent_fraction, problem.independent_fraction))
@@ -316,7 +338,7 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=minimum.set_aside,
-        links=estimate_parts.links(problem, point, errors, _outliers(fitted)),
+        links=estimate_parts.links(problem, point, link_errors, _outliers(fitted)),
         effects=estimate_parts.effects(problem, point, errors),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
@@ -378,8 +400,9 @@ def _outlier_warnings(model: MeasurementModel, fitted: Fit, point: Point) -> Ite
             if abs(np.log(after[3, 3] / before[3, 3])) < WITHIN:
                 change = "changed its centre of mass or its inertia"
             yield (
-                f"link '{name}' {change} ({ratio:.1f} default prior std); it probably absorbs an unmodelled "
-                "effect, such as a spring, a payload or other friction; run 'geomid gap'"
+                f"link '{name}' {change} ({ratio:.1f} default prior std): the URDF's inertia is wrong or a "
+                "placeholder, or the link absorbs an unmodelled effect, such as a spring, a payload or other friction; "
+                "check the URDF, or run 'geomid gap'"
             )
 
 
@@ -389,6 +412,17 @@ def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> 
         if name not in names:
             raise unknown_name("channel with a configured standard deviation", name, names)
     return np.array([configured.get(name, np.nan) for name in names])
+
+
+def _known_sigmas(model: MeasurementModel, settings: EstimatorSettings, summary: RowSummary) -> FloatArray:
+    """Standard deviations ``(channels,)`` that are not estimated, NaN elsewhere: the configured ones, and those of
+    joints that never moved. Their dry friction keeps one unknown value, as large as the effort at most, so all of their
+    rows together count as one row of that standard deviation."""
+    *moving, rest = summary.counts().reshape(REGIMES, -1)
+    common = channel_sizes(summary, model.dimension) * np.sqrt(filtered_fraction(summary, settings.cutoff) * rest)
+    still = (rest > 0.0) & ~np.any(moving, axis=0)
+    configured = _configured_sigmas(model, settings)
+    return np.where(still & np.isnan(configured), common, configured)
 
 
 def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:

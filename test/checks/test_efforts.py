@@ -341,17 +341,21 @@ def test_an_effort_that_changes_for_half_of_the_time_is_judged() -> None:
     assert len(findings(of.model, replace(of.samples, effort=-effort))) > 0
 
 
-@pytest.mark.parametrize(("weight", "lost"), [(18.0, []), (0.1, [0])])
-def test_a_weight_on_a_vertical_axis_keeps_its_sign(weight: float, lost: list[int]) -> None:
+@pytest.mark.parametrize(
+    ("weight", "friction", "moves", "lost"),
+    [(18.0, 4.0, True, []), (39.0, 26.0, True, []), (0.1, 4.0, True, [0]), (0.1, 4.0, False, [])],
+)
+def test_a_weight_on_a_vertical_axis_keeps_its_sign(
+    weight: float, friction: float, moves: bool, lost: list[int]
+) -> None:
     """Its effort changes with the speed alone, as friction does, and is no magnitude; that of a joint without weight
-    is."""
-    speed = np.sin(np.arange(400) / 20.0) + 0.3
-    rubbing = 4.0 * np.tanh(speed / 0.05)
-    measured = weight + rubbing if weight > 4.0 else np.abs(weight + rubbing)
+    is, unless it stands still: then its friction may have any value."""
+    turns = np.sin(np.arange(400) / 20.0) + 0.3
+    measured = np.abs(weight + friction * np.tanh(turns / 0.05) if moves else np.full(400, weight + friction))
     subject: Any = SimpleNamespace(
         measured=measured[:, None],
-        predicted=weight + 1e-3 * np.cos(np.arange(400) / 9.0)[:, None],
-        samples=SimpleNamespace(velocity=speed[:, None]),
+        predicted=(weight + (1e-3 if moves else 1.0) * np.cos(np.arange(400) / 9.0))[:, None],
+        samples=SimpleNamespace(velocity=moves * turns[:, None]),
         joints=[0],
     )
     assert _without_sign(subject) == lost

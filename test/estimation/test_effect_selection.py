@@ -283,6 +283,16 @@ def test_what_remembers_is_judged_at_rest_too_and_nothing_else() -> None:
     np.testing.assert_array_equal(every.counts[: len(moving.counts)], moving.counts)
 
 
+def test_what_remembers_may_be_visible_at_rest_alone() -> None:
+    """Other effects must be visible in fast motion; groups without rows show nothing."""
+    own = problem(planted("arm3", 1, ""))
+    count = len(own.model.channels)
+    moving, every = (CoefficientRows(own, at_rest=at_rest).visible for at_rest in (False, True))
+    np.testing.assert_array_equal(moving, np.arange(count))
+    np.testing.assert_array_equal(every, np.flatnonzero(own.counts))
+    assert np.max(every) >= 2 * count
+
+
 def test_all_rows_have_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
     """On what the rows of motion have asked for, and with a fit of their own."""
     own = problem(planted("arm3", 1, "spring"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -18,7 +19,7 @@ from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
-from .arms import ALL_EFFECTS, Case, arm, identifier, solved
+from .arms import ALL_EFFECTS, Case, Truth, arm, efforts, identifier, solved
 
 NOISE = 0.05
 
@@ -132,6 +133,36 @@ def test_a_configured_sigma_sets_a_channels_weight() -> None:
     assert trusted.rms[1] < 1.5 * NOISE
     assert distrusted.rms[1] > 10 * NOISE
     assert np.all(distrusted.rms[[0, 2]] < 1.5 * NOISE)
+
+
+def test_dry_friction_of_a_joint_that_never_moves_has_any_value() -> None:
+    """Its offset is no better known than that, though all of its rows agree."""
+    case, stiction = arm("arm3", 0), 2.0
+    still = np.array([False, False, True])
+    motion = {name: getattr(case.samples, name) for name in ("position", "velocity", "acceleration")}
+    moving = replace(case.samples, **{name: np.where(still, 0.0, values) for name, values in motion.items()})
+    felt = efforts(case.model.robot, case.true, moving) + stiction * still
+    found = solved(replace(case, samples=replace(moving, effort=felt)))
+    offset = {effect.joint: effect for effect in found.effects if effect.name == "effort_offset"}["joint3"]
+    assert abs(offset.value - case.true.effects["effort_offset"][2]) < 4.0 * offset.std
+
+
+def test_a_link_is_no_better_known_than_a_rotor_that_is_one_with_it() -> None:
+    """The first link turns about a vertical axis; its URDF inertia about that is as large as both together."""
+    usual = arm("arm3", 1)
+    robot = Robot(re.sub(r'(?<=mass value="2.2"/>)\s*<inertia [^>]*>', _ROUND, usual.model.robot.urdf))
+    links = np.array([body.parameters for body in robot.bodies])
+    links[0, 4:] *= 0.4
+    rotors = usual.true.effects["rotor_inertia"] + np.array([0.3, 0.0, 0.0])
+    felt = efforts(robot, Truth(links, {**usual.true.effects, "rotor_inertia": rotors}), usual.samples)
+    noise = NOISE * np.random.default_rng(1).normal(size=felt.shape)
+    model = MeasurementModel(robot, usual.effects)
+    found = solved(replace(usual, model=model).with_efforts(felt + noise))
+    rotor = next(effect for effect in found.effects if effect.name == "rotor_inertia")
+    assert found.links[0].std[9] > 0.75 * rotor.std
+
+
+_ROUND = '<inertia ixx="0.5" ixy="0" ixz="0" iyy="0.5" iyz="0" izz="0.5"/>'
 
 
 def test_samples_counted_twice_change_nothing_but_the_count() -> None:

@@ -11,7 +11,14 @@ import pytest
 from geomid_ros.model.columns import Entries, JointColumn
 from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.effects import Motion as WithPast
-from geomid_ros.model.effects.friction import DISTANCES, SMOOTHINGS, CoulombFriction, Presliding, StribeckFriction
+from geomid_ros.model.effects.friction import (
+    DISTANCES,
+    SMOOTHINGS,
+    CoulombFriction,
+    LoadFriction,
+    Presliding,
+    StribeckFriction,
+)
 from geomid_ros.model.effects.situation import AtJoint
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -118,3 +125,4 @@ def test_no_more_than_all_dry_friction_keeps_its_sign(
 ) -> None:
     own = Presliding()
     assert own.is_supported({DRY: level, StribeckFriction(0.25): excess, own: kept}) == is_supported
+    assert own.is_supported({DRY: level, LoadFriction(): 0.1, own: kept}), "with the load there is more of it"

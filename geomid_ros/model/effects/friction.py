@@ -313,8 +313,10 @@ class Presliding(JointEffect):
     coarse_grid = grid
 
     def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
-        """True if the joint's dry friction is at least as large, up to drift, as the part that keeps its sign."""
-        return bool(effects_at_place[self] <= (1.0 + self.drift) * np.max(dry_friction(effects_at_place)))
+        """True if the joint's dry friction is at least as large, up to drift, as the part that keeps its sign; with
+        friction by load it has no one size."""
+        by_load = any(isinstance(effect, LoadFriction) for effect in effects_at_place)
+        return by_load or bool(effects_at_place[self] <= (1.0 + self.drift) * np.max(dry_friction(effects_at_place)))
 
     @classmethod
     def states(cls, effects: Sequence[Self], moved: FloatArray, before: FloatArray) -> FloatArray:
