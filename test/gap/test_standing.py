@@ -8,7 +8,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.gap.analysis import known_remainder
-from geomid_ros.gap.evidence.features import LARGEST_SCALE, Features, KnownRemainder
+from geomid_ros.gap.evidence.features import LARGEST_SCALE, KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.records import Records
@@ -61,15 +61,18 @@ def test_it_is_expected_of_another_motion_as_far_as_it_says(seed: int) -> None:
     problem = problem_of(recorded(seed), standing())
     residual = problem.residual(GIVEN)
     for channel, own in enumerate(problem.features):
-        off, unsure = residual[:, channel] - own.expected_remainder, variance(own)
+        off, unsure = residual[:, channel] - own.expected_remainder, own.expected_variance
         assert 0.6 < np.sqrt(np.mean(off**2 / (planted.NOISE**2 + unsure))) < 1.4
         if channel == JOINT:
             assert np.std(off) < 0.5 * np.std(residual[:, JOINT])
 
 
-def variance(own: Features) -> FloatArray:
-    """Of what is expected of a channel."""
-    return np.asarray(np.einsum("ij,jk,ik->i", own.columns, own.covariance, own.columns))
+def test_a_prediction_is_as_unsure_as_the_coefficients_and_the_remainder() -> None:
+    known = problem_of(recorded(2), standing())
+    without = LinearisedProblem(known.model, known.records, known.total).variance(GIVEN)
+    for channel, own in enumerate(known.features):
+        np.testing.assert_allclose((known.variance(GIVEN) - without)[:, channel], own.expected_variance, atol=1e-12)
+        assert np.all(own.expected_variance > 0.0)
 
 
 def test_its_covariance_says_how_far_it_is_off() -> None:
@@ -95,7 +98,7 @@ def test_fewer_rows_than_features_tell_less_and_as_much_as_they_say() -> None:
         own, residual = problem.features[JOINT], problem.residual(GIVEN)[:, JOINT]
         off = residual - own.expected_remainder
         assert np.std(off) < 0.9 * np.std(residual)
-        assert 0.4 < np.sqrt(np.mean(off**2 / (planted.NOISE**2 + variance(own)))) < 2.0
+        assert 0.4 < np.sqrt(np.mean(off**2 / (planted.NOISE**2 + own.expected_variance))) < 2.0
     assert np.linalg.norm(few.triangles[JOINT]) > np.linalg.norm(standing().triangles[JOINT])
 
 

@@ -11,14 +11,15 @@ import pytest
 
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import result as result_module
-from geomid_ros.gap.candidates import EffectsFit
+from geomid_ros.gap.candidates import Candidate, EffectsFit
 from geomid_ros.gap.evidence.records import Records
 from geomid_ros.gap.judgement import confirmed_changes as written_module
-from geomid_ros.gap.result import GapResult, LinkChange
+from geomid_ros.gap.result import Finding, GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Quantity
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, Quantity
+from geomid_ros.model.effects.drive import Spring
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
@@ -80,6 +81,31 @@ def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkey
     assert (first.effect, first.joint, first.chosen) == ("viscous_friction", JOINTS[1], True)
     assert result.verdict != "named"
     np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
+
+
+@pytest.mark.parametrize(("beside", "is_sure"), [(3.8, True), (6.0, False)])
+def test_what_is_large_only_with_unsure_effects_is_not_sure(
+    beside: float, is_sure: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The size without these is written; a cable is a spring here and an offset there."""
+
+    def fitted(stiffness: float) -> Any:
+        sizes = {"stiffness": Quantity(stiffness, 0.2, "N m/rad"), "equilibrium": Quantity(0.0, 0.01, "rad")}
+        return SimpleNamespace(chosen=[spring], sizes=sizes)
+
+    spring = Candidate.of(Spring(), AtJoint(0))
+    finding = Finding(
+        "spring", JOINTS[0], "", fitted(6.0).sizes, probability=1.0, rivals=(), separability=1.0, loss=99.0, share=1.0,
+        was={}, settled_by="",
+    )  # fmt: skip
+    analysis: Any = SimpleNamespace(
+        usual_load=lambda _: 0.0, search=SimpleNamespace(prior=SimpleNamespace(identified=True))
+    )
+    monkeypatch.setattr(written_module.library, "parameters", lambda _, fit, *__, **___: fit.sizes)
+    monkeypatch.setattr(written_module, "widened_by_remainder", lambda _, __, sizes, *___: sizes)
+    (said,) = written_module._findings_as_written(BARE, analysis, fitted(3.9), fitted(beside), [(spring, finding)])
+    assert said.parameters["stiffness"].value == 3.9
+    assert (said.confidence == "confident") == is_sure
 
 
 def test_a_changed_link_is_said_as_it_is_written() -> None:

@@ -58,6 +58,12 @@ class Features:
         """Remainder expected from other recordings ``(N,)``."""
         return np.zeros(len(self.columns)) if self.mean is None else self.columns @ self.mean
 
+    @property
+    def expected_variance(self) -> FloatArray:
+        """Variance of the expected remainder ``(N,)``."""
+        spread = 0.0 * self.columns if self.covariance is None else self.columns @ self.covariance
+        return np.asarray(np.sum(spread * self.columns, axis=1))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KnownRemainder:

@@ -233,7 +233,7 @@ class LinearisedProblem:
         return mean_of(self.features, found.remainders(design))
 
     def variance(self, found: EffectsFit) -> FloatArray:
-        """Variance of the prediction ``(N, C)`` from the uncertainty of the fit."""
+        """Variance of the prediction ``(N, C)`` from the uncertainty of the fit and of the known remainder."""
         covariance, variance, columns = found.covariance, np.empty_like(self.rows.targets), self.columns(found.terms)
         for channel in range(variance.shape[1]):  # one by one, to save memory
             links = self.rows.coefficients[:, channel]
@@ -241,6 +241,8 @@ class LinearisedProblem:
             effects = [columns[term].get(channel, np.zeros(len(links))) for term in found.terms]
             jacobian = np.column_stack([links, *payloads, *effects])
             variance[:, channel] = np.sum((jacobian @ covariance) * jacobian, axis=1)
+        if self.known_remainder is not None:
+            variance += np.stack([channel.expected_variance for channel in self.features], axis=1)
         return variance
 
 

@@ -70,7 +70,8 @@ def confirmed_changes(
     sure = [candidate for candidate, finding in findings if finding.confidence == "confident"]
     refit = _Refit(model, records, analysis, changed)
     refitted = refit.found(sure)
-    sized = list(_findings_as_written(model, analysis, refitted, findings))
+    whole = refit.found([candidate for candidate, _ in findings]) if len(sure) < len(findings) else refitted
+    sized = list(_findings_as_written(model, analysis, refitted, whole, findings))
     pairs = zip(findings, sized, strict=True)
     kept = [(c, before if before.confidence == after.confidence else after) for (c, before), after in pairs]
     sized_links = [_as_written(link, model, analysis, refitted) for link in links]
@@ -209,16 +210,25 @@ def _as_given(prior: EffectsPrior, sure: Sequence[Candidate]) -> EffectsPrior:
 
 
 def _findings_as_written(
-    model: MeasurementModel, analysis: Analysis, joint_fit: EffectsFit, findings: Sequence[tuple[Candidate, Finding]]
+    model: MeasurementModel,
+    analysis: Analysis,
+    joint_fit: EffectsFit,
+    whole: EffectsFit,
+    findings: Sequence[tuple[Candidate, Finding]],
 ) -> Iterator[Finding]:
     """Yield the findings with the written sizes. A sure effect that is impossible without the unsure ones is no surer
-    than the likeliest of these. None is sure if its written size may be nothing."""
+    than the likeliest of these. None is sure if its written size may be nothing, be it because unsure effects, which
+    are in the ``whole`` fit, change it."""
     unsure = max((f.probability for _, f in findings if f.confidence != "confident"), default=0.0)
     for candidate, finding in findings:
         if finding.confidence != "confident":
             yield finding
         elif candidate in joint_fit.chosen:
-            parameters = library.parameters(model, joint_fit, candidate, usual_load=analysis.usual_load(candidate))
+            load = analysis.usual_load(candidate)
+            parameters = library.parameters(model, joint_fit, candidate, usual_load=load)
+            if candidate in whole.chosen:
+                beside = library.parameters(model, whole, candidate, usual_load=load)
+                parameters = {n: _including(q, beside[n].value) for n, q in parameters.items()}
             widened = widened_by_remainder(analysis, candidate, parameters, finding.was, finding.separability)
             sized = {**finding.parameters, **candidate.effect.sizes(widened)}
             listed = analysis.search.prior.identified and finding.moment  # in a URDF the links' are as uncertain
@@ -250,7 +260,12 @@ def _all_moved(sizes: Mapping[str, Quantity], values: FloatArray) -> dict[str, Q
 
 def _moved(quantity: Quantity, value: float) -> Quantity:
     """Replace a quantity's value, and widen its standard deviation to include the former value."""
-    return replace(quantity, value=value, std=max(quantity.std, abs(value - quantity.value)))
+    return _including(replace(quantity, value=value), quantity.value)
+
+
+def _including(quantity: Quantity, former: float) -> Quantity:
+    """Widen the standard deviation of a quantity to include its ``former`` value."""
+    return replace(quantity, std=max(quantity.std, abs(quantity.value - former)))
 
 
 def folded(problem: LinearisedProblem, found: EffectsFit) -> dict[tuple[str, str], float]:

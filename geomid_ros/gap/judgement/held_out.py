@@ -44,7 +44,8 @@ class HeldOut:
     def gap(self) -> GapErrors:
         """Residuals of all channels, in units of the floor, at the samples used for evaluation.
 
-        The known remainder of the model may differ now by the default std, which is no gap.
+        The known remainder of the model is uncertain, most where its recordings did not move; and it may differ now by
+        the default std. Neither is a gap.
         """
         uncertainty = self._times_floor(np.sqrt(self._last.variance(self._analysis.effects)))
         before, bare, after = map(self._times_floor, self._residuals)
