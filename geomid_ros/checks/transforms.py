@@ -181,8 +181,11 @@ def _other_unit(subject: EffortData, joints: Sequence[int], factor: float) -> Ca
         "in kN m? or masses of the URDF in grams": (250.0, 4000.0),
         "in A, on the motor side of the gear, or a share of what they are rated for": (1.0, np.inf),
     }
-    unit = next((unit for unit, (low, high) in units.items() if low < factor < high), "")
-    return Cause.of("gain", names, settings, all_joints=is_all, ratio=ratio, unit=f" ({unit}?)" if unit else "")
+    guesses = [unit for unit, (low, high) in units.items() if low < factor < high][:1]
+    if is_all and factor < 1.0:
+        guesses.append("or masses of the URDF that are placeholders, or another robot's")
+    unit = f" ({', '.join(guesses)}?)" if guesses else ""
+    return Cause.of("gain", names, settings, all_joints=is_all, ratio=ratio, unit=unit)
 
 
 def _gravities(subject: EffortData) -> Iterator[FaultCandidate]:
