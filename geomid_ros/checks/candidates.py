@@ -169,8 +169,11 @@ def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Fau
     doubted = _doubted(probable)
     unshared = [one for one in ordered if not one.candidate.may_be_named or not one.shares_joints(doubted)]
     likely = _most_probable(unshared, count)
-    causes = [one for one in likely if one in probable][:1] + [
-        one for one in ordered if one.candidate.needs_no_evidence
+    causes = [one for one in likely if one in probable][:1]
+    # Evidence that another cause is more probable overrules a settled one.
+    contrary = max((one.gain for one in causes), default=-np.inf)
+    causes += [
+        one for one in ordered if one.candidate.needs_no_evidence and not is_probable(contrary - one.gain, count)
     ]
     # A cause common to all joints precedes one for each.
     best = max(causes, key=lambda one: len(one.cause.places), default=None)

@@ -26,6 +26,8 @@ _SENTENCES = {
     f"{_FOLLOW}. Correct the signs in the driver, or the axis in the URDF",
     "absolute": "the position of joint {first} seems to include that of {second} (an angle against the base, not "
     f"against the previous link): {{sign}} the position of {{second}}, {_FOLLOW}. Send the angle between the links",
+    "coupled": "the motor of joint {first} seems to drive {second}, too: {sign} the effort of {second}, "
+    f"{_FOLLOW}. Send the efforts of joints, not of motors",
     "position": f"{{positions}} in {{unit}}: read as such, {_FOLLOW}; send messages in {{right}}",
     "time": f"stamps run {{rate}}: with {{period}} the time between messages, {_FOLLOW}; stamp messages in seconds, "
     "when they are measured",

@@ -18,6 +18,7 @@ from geomid_ros.checks.effort_data import STRETCHES, EffortData, EvidenceGain, b
 from geomid_ros.checks.evidence import MOST, PRIOR_STD, Evidence, payload_factor
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import STDS_OF_95
+from geomid_ros.model.samples import SIGN, SMOOTH_SIGN
 from geomid_ros.types import BoolArray, FloatArray
 
 _PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # fractions of the recording at which a change may begin
@@ -219,48 +220,74 @@ def _switched(recording: EffortData, place: float, factor: float) -> Evidence:
 
 
 def lags(subject: EffortData) -> Iterator[FaultCandidate]:
-    """Yield delays of the efforts against the motion.
+    """Yield delays of the efforts against the motion: of all, and of the one that promises most.
 
-    To first order a lag adds the derivative of the efforts, times the lag. It is identified from the efforts of the
-    links: friction reverses at once, and its unexplained part looks like a lag. So the lag is fitted given the curves
-    of friction.
+    Efforts that come late are those of an earlier motion, to which links, friction and rotors are fitted.
     """
-    count = len(subject.joints)
-    common, separate = (
-        subject.baseline_fit.gain(columns) for columns in (_rates(subject), by_channel(_rates(subject)))
+    every = np.ones(len(subject.joints), dtype=bool)
+    alone = np.arange(len(every)) == _most_delayed(subject)
+    for late in (every, alone) if len(every) > 1 else (every,):
+        lag, deviation = _most_probable_lag(subject, late)
+        if abs(lag) < _MOST_LAG and abs(lag) - STDS_OF_95 * deviation > _LEAST_LAG:
+            yield _late(subject, late, lag)
+
+
+def _most_delayed(subject: EffortData) -> int:
+    """Channel that the fitted links, with any friction, explain much better at another time."""
+    links, every = subject.links(subject.nominal), np.ones(len(subject.joints), dtype=bool)
+    residuals = [
+        (of := _delayed(subject, lag, every)).without_friction((of.measured - of.regressor @ links).T[:, :, None])
+        for lag in (0.0, _LEAST_LAG, -_LEAST_LAG)
+    ]
+    at_once, *others = np.sum(np.square(residuals), axis=(2, 3))
+    return int(np.argmin(np.min(others, axis=0) / at_once))
+
+
+def _most_probable_lag(subject: EffortData, late: BoolArray) -> tuple[float, float]:
+    """Lag [s] of the channels ``late (C,)`` at which the evidence has its first maximum, and its standard deviation by
+    as many independent samples as the shortest recording's; beyond ``_MOST_LAG`` any."""
+    found, best = {0: subject.nominal.log_evidence}, 0
+    while True:
+        for step in {best - 1, best + 1} - {*found}:
+            found[step] = _delayed(subject, step * _LEAST_LAG, late).nominal.log_evidence
+        best, previous = max(found, key=lambda step: found[step]), best
+        if best == previous or abs(best) * _LEAST_LAG > _MOST_LAG:
+            break
+    before, at, after = (found.get(best + by, -np.inf) for by in (-1, 0, 1))
+    curvature = max(2.0 * at - before - after, np.finfo(float).tiny)
+    vertex = np.nan_to_num(0.5 * (after - before) / curvature)  # of the parabola
+    return _LEAST_LAG * (best + float(vertex)), _LEAST_LAG * float(np.sqrt(len(subject.samples) / FEWEST / curvature))
+
+
+def _late(subject: EffortData, late: BoolArray, lag: float) -> FaultCandidate:
+    names = [name for name, is_late in zip(subject.names, late, strict=True) if is_late]
+    time = f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}"
+    sizes = f"all are about {time}" if np.all(late) else f"that of '{names[0]}' about {time}"
+    cause = Cause.of("late", names, sizes=sizes)
+    return FaultCandidate(corrected=lambda of: _delayed(of, lag, late), cause=cause)
+
+
+def _delayed(subject: EffortData, lag: float, late: BoolArray) -> EffortData:
+    """Subject in which the channels ``late (C,)`` feel the motion that was a ``lag`` [s] earlier."""
+    samples, later = subject.samples, subject.next_samples
+    times = 1e-9 * (later.stamps - samples.stamps)[:, None]
+    change = later.acceleration - samples.acceleration
+    jerk = np.divide(change, times, out=np.zeros_like(change), where=times > 0.0)
+    velocity = samples.velocity - lag * samples.acceleration + lag**2 / 2.0 * jerk
+    effects = samples.effects.copy()
+    for column in (candidate for candidate in (SIGN, SMOOTH_SIGN) if candidate in samples.entries):
+        signs = [samples.entries.at(column, joint) for joint in range(velocity.shape[1])]
+        effects[:, signs] = np.copysign(effects[:, signs], velocity)
+    earlier = replace(
+        samples,
+        position=samples.position - lag * samples.velocity + lag**2 / 2.0 * samples.acceleration - lag**3 / 6.0 * jerk,
+        velocity=velocity,
+        acceleration=samples.acceleration - lag * jerk,
+        effects=effects,
     )
-    lag = _MOST_LAG * float(common.coefficients[0])
-    if _matters(common)[0] and abs(lag) < _MOST_LAG:
-        yield _late(subject, [*range(count)], np.full(count, lag), _rates)
-    # If a longer lag fits at a joint, it is no lag there, and perhaps nowhere.
-    too_long = np.abs(separate.coefficients) > np.maximum(STDS_OF_95 * separate.deviations, 1.0)
-    main = [*np.flatnonzero(_matters(separate))]
-    if main and count > 1 and common.per_instant <= MOST * separate.per_instant and not np.any(too_long):
-        lags = _MOST_LAG * separate.coefficients[main]
-        yield _late(subject, main, lags, lambda of: by_channel(_rates(of))[:, :, main])
-
-
-def _matters(gain: EvidenceGain) -> BoolArray:
-    """True for lags that are certainly large enough ``(k,)``."""
-    return np.asarray(_MOST_LAG * (np.abs(gain.coefficients) - STDS_OF_95 * gain.deviations) > _LEAST_LAG)
-
-
-def _late(subject: EffortData, main: list[int], lags: FloatArray, columns: Columns) -> FaultCandidate:
-    every, names = len(main) == len(subject.joints), [subject.names[c] for c in main]
-    times = [f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}" for lag in lags]
-    by_joint = ", ".join(f"that of '{name}' about {time}" for name, time in zip(names, times, strict=True))
-    cause = Cause.of("late", names, sizes=f"all are about {times[0]}" if len(set(times)) == 1 and every else by_joint)
-
-    def undo(of: EffortData) -> Evidence:
-        return _judged(of, of.baseline_fit.gain(columns(of)), slice(None))
-
-    return FaultCandidate(fit_corrected=undo, cause=cause)
-
-
-def _rates(subject: EffortData) -> FloatArray:
-    """Change of the fitted links' efforts for a lag of ``_MOST_LAG``, ``(N, C, 1)``."""
-    links = subject.parameters_at(subject.baseline_fit.nominal.link_errors)
-    times = (subject.next_samples.stamps - subject.samples.stamps) * 1e-9
-    change = subject.with_samples(subject.next_samples).regressor @ links - subject.baseline_fit.link_efforts
-    rates = np.divide(change, times[:, None], out=np.zeros_like(change), where=times[:, None] > 0.0)
-    return np.asarray(-_MOST_LAG * rates)[:, :, None]
+    delayed = subject.with_samples(earlier)
+    if not np.all(late):
+        for name in ("regressor", "predicted", "friction"):
+            both = np.moveaxis(getattr(subject, name), 1, -1), np.moveaxis(getattr(delayed, name), 1, -1)
+            delayed.__dict__[name] = np.moveaxis(np.where(late, both[1], both[0]), -1, 1)
+    return delayed

@@ -305,11 +305,11 @@ class EffortData:
         by_gravity = [self._rows(axis, positions, *at_rest) @ parameters for axis in np.eye(3)]
         residual = self.measured - self._rows(np.zeros(3), positions, *motion) @ parameters
         columns = (np.array([*by_gravity, residual]) / self.measured_std).transpose(2, 1, 0)
-        columns = self._without_friction(columns)
+        columns = self.without_friction(columns)
         return np.asarray(np.linalg.lstsq(columns[:, :, :3].reshape(-1, 3), columns[:, :, 3].ravel(), rcond=1e-6)[0])
 
-    def _without_friction(self, columns: FloatArray) -> FloatArray:
-        """Remove from columns of each channel ``(C, N, k)`` what its friction explains."""
+    def without_friction(self, columns: FloatArray) -> FloatArray:
+        """Remove from columns of each channel ``(C, N, k)`` what its friction can explain, of either sign."""
         return np.asarray(columns - self._bases @ (self._bases.transpose(0, 2, 1) @ columns))
 
     @cached_property
@@ -325,7 +325,7 @@ class EffortData:
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         """Slope of measured over predicted efforts, and their correlation, without friction ``(C,)``."""
-        both = self._without_friction(np.stack([self.measured.T, self.predicted.T], axis=2))
+        both = self.without_friction(np.stack([self.measured.T, self.predicted.T], axis=2))
         return _slopes(both[:, :, 0].T, both[:, :, 1].T)
 
     def fitted_slopes(self, fit: Evidence) -> tuple[FloatArray, FloatArray]:

@@ -74,16 +74,15 @@ def _orders(subject: EffortData) -> Iterator[FaultCandidate]:
 def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for a motor that also delivers the effort of another joint, in either direction.
 
-    They are not named, because sound recordings of some seconds may look like them. But they explain what would be
-    taken for a sign or a gain: the joint is then reported as unexplained, with a hint at the coupling.
+    Only neighbours are named: sound recordings of some seconds may look like any pair.
     """
     for pair in _exchanges(subject.names)[0]:
         for joint, other in (pair, pair[::-1]):
-            for sign in (1.0, -1.0):
+            for sign, word in ((1.0, "plus"), (-1.0, "minus")):
                 matrix = np.eye(len(subject.joints))
                 matrix[joint, other] = sign
-                cause = Cause(kind="coupled", sentence="", places=(subject.names[joint],))
-                yield replace(_linear(matrix, cause), may_be_named=False)
+                cause = Cause.of("coupled", [subject.names[joint], subject.names[other]], sign=word)
+                yield replace(_linear(matrix, cause), may_be_named=abs(joint - other) == 1)
 
 
 def _frictions(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -189,8 +188,11 @@ def _other_unit(subject: EffortData, joints: Sequence[int], factor: float) -> Ca
         "in kN m? or masses of the URDF in grams": (250.0, 4000.0),
         "in A, on the motor side of the gear, or a share of what they are rated for": (1.0, np.inf),
     }
-    unit = next((unit for unit, (low, high) in units.items() if low < factor < high), "")
-    return Cause.of("gain", names, settings, all_joints=is_all, ratio=ratio, unit=f" ({unit}?)" if unit else "")
+    guesses = [unit for unit, (low, high) in units.items() if low < factor < high][:1]
+    if is_all and factor < 1.0:
+        guesses.append("or masses of the URDF that are placeholders, or another robot's")
+    unit = f" ({', '.join(guesses)}?)" if guesses else ""
+    return Cause.of("gain", names, settings, all_joints=is_all, ratio=ratio, unit=unit)
 
 
 def _gravities(subject: EffortData) -> Iterator[FaultCandidate]:

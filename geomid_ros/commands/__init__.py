@@ -21,6 +21,7 @@ from geomid_ros.errors import (
     is_lack_of_memory,
     load_hashes,
     missing_library,
+    unknown_name,
 )
 
 COMMANDS = {
@@ -67,7 +68,7 @@ class _Group(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         if cmd_name not in COMMANDS:
-            return None
+            raise _Failure(str(unknown_name("command", cmd_name, COMMANDS)))
         load_hashes()
         command: click.Command = getattr(
             import_module(f"geomid_ros.commands.{_HOMES.get(cmd_name, cmd_name)}"), cmd_name

@@ -138,4 +138,4 @@ def read_text(path: Path, what: str, most_bytes: int = MOST_BYTES) -> str:
     try:
         return read_bytes(path, what, most_bytes).decode()
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: the {what} cannot be read ({error})") from error
+        raise InputError(f"{path}: the {what} cannot be read ({error}); save it as UTF-8") from error

@@ -55,7 +55,7 @@ def read_document(path: Path, what: str, keys: tuple[str, ...]) -> dict[str, Any
     try:
         document = json.loads(read_text(path, what))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: the {what} cannot be read ({error})") from error
+        raise InputError(f"{path}: the {what} cannot be read, it must be JSON as geomid writes it ({error})") from error
     check_form(document, keys, f"{path}:", what)
     return dict(document)
 

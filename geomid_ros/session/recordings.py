@@ -274,13 +274,13 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     if not reasons:
         short = f"it is shorter than the filter's window ({2 * pipeline.lag:.1f} s)"
         reasons = [f"{short} or its topics do not overlap; record half a minute of motion"]
-    if any(meaning_of(text) == "frame" for account in pipeline.ledger.topics.values() for text in account.rejected):
+    meanings = {meaning_of(text) for account in pipeline.ledger.topics.values() for text in account.rejected}
+    if "frame" in meanings:
         reasons.append("--wrench sets the frame of a wrench, wrench.*.frame_id the frame_id of its messages")
     text = f"{bag.path}: no usable samples. " + "; ".join(reasons)
-    missing = not pipeline.received_joints.issuperset(session.robot.joint_names)
     joints = f"The URDF's moving joints: {', '.join(session.robot.joint_names)}"
     end = "" if text.endswith("?") else "."
-    return f"{text}{end} Or the recording is of another robot. {joints}" if missing else text
+    return f"{text}{end} Or the recording is of another robot. {joints}" if "joint" in meanings else text
 
 
 T = TypeVar("T")

@@ -15,7 +15,7 @@ from geomid_ros.signals.settings import LONGEST_REASON, MOST_KINDS
 
 _OTHER = "other reasons"
 _HEADING = "driver error: "
-Meaning: TypeAlias = Literal["", "driver error", "told", "note", "repeated", "frame"]
+Meaning: TypeAlias = Literal["", "driver error", "told", "note", "repeated", "frame", "joint"]
 
 
 class Reason(str):
@@ -23,7 +23,7 @@ class Reason(str):
 
     - ``driver error``: the driver fills in its messages wrongly, so all of them are doubtful;
     - ``told``: reported to the user, though the other messages are usable; ``note``: reported, but as no warning;
-    - ``frame``: a wrench is in another frame;
+    - ``frame``: a wrench is in another frame; ``joint``: a joint is missing;
     - ``repeated``: the driver may publish more often than it measures.
     """
 

@@ -153,19 +153,20 @@ def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
     missing = next((joint for joint in joints if joint not in present), None)
     if missing is None:
         return ""
-    sentence = f"joint '{missing}' is missing"
+    return Reason(f"joint '{missing}' is missing{_advice(joints, names)}", "joint")
+
+
+def _advice(joints: Sequence[str], names: Sequence[str]) -> str:
     if prefix := _prefix(joints, names):
-        return f"{sentence}: the messages' names have the prefix '{prefix}'. Give the URDF with it (tf_prefix)"
+        return f": the messages' names have the prefix '{prefix}'. Give the URDF with it (tf_prefix)"
     if prefix := _prefix(names, joints):
-        return (
-            f"{sentence}: the URDF's names have the prefix '{prefix}', the messages' do not. Give the URDF without it"
-        )
-    if present.isdisjoint(joints):
+        return f": the URDF's names have the prefix '{prefix}', the messages' do not. Give the URDF without it"
+    if set(names).isdisjoint(joints):
         quoted = ", ".join(f"'{name}'" for name in names[:3])
-        return f"{sentence}: none of the messages' names is a joint of this URDF ({quoted} ...)"
+        return f": none of the messages' names is a joint of this URDF ({quoted} ...)"
     unknown = next((name for name in names if name not in joints), None)
     other = f"; or is it '{unknown}'?" if unknown else ""
-    return f"{sentence}: {MISSING_JOINT_ADVICE}{other}"
+    return f": {MISSING_JOINT_ADVICE}{other}"
 
 
 def _prefix(plain: Sequence[str], prefixed: Sequence[str]) -> str:

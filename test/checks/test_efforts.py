@@ -122,6 +122,13 @@ def noise(of: Case) -> Samples:
     return replace(of.samples, effort=np.random.default_rng(3).normal(size=of.samples.effort.shape))
 
 
+def without_links(of: Case) -> Samples:
+    """The efforts of friction alone, as those that are compensated for gravity and inertia."""
+    own = of.samples
+    friction = np.std(own.effort, axis=0) * (np.tanh(own.velocity / 0.02) + own.velocity)
+    return replace(own, effort=friction + 0.01 * noise(of).effort)
+
+
 THREE, SEVEN = ROBOTS
 FAULTS: list[tuple[str, tuple[int, ...], str, Callable[[Case], Samples], Sequence[tuple[str, int]]]] = [
     ("sign", (), "effort_gain: -1.0", lambda of: times(of, -1.0), ROBOTS),
@@ -130,10 +137,11 @@ FAULTS: list[tuple[str, tuple[int, ...], str, Callable[[Case], Samples], Sequenc
     *(("order", (j, j + 1), "swapped", partial(exchanged, first=j), ROBOTS) for j in (0, 1)),
     *(("names", (j, j + 1), "swapped", partial(exchanged, first=j, names=True), ROBOTS) for j in (0, 1)),
     ("names", (3, 4), "swapped", partial(exchanged, first=3, names=True), [SEVEN]),
-    ("gain", (), "mN m", lambda of: times(of, 1000.0), [THREE]),
+    ("gain", (), "in mN m, or masses of the URDF that are placeholders", lambda of: times(of, 1000.0), [THREE]),
     ("gain", (), "in A, on the motor side", lambda of: times(of, 0.07), [SEVEN]),
     ("gain", (1,), "mN m", lambda of: times(of, 1000.0, 1), ROBOTS),
     ("unrelated", (), "neither the gravity nor the motion", noise, ROBOTS),
+    ("unrelated", (), "neither the gravity nor the motion", without_links, ROBOTS),
     ("magnitude", (0,), "unsigned", unsigned, ROBOTS),
     ("friction", (), "over-compensated", rubbing, ROBOTS),
     ("position", (), "in degrees", lambda of: turned(of, DEGREES), ROBOTS),

@@ -45,6 +45,16 @@ def test_all_efforts_are_late_or_early(robot: Case, late: int) -> None:
     assert float(time) == pytest.approx(10.0 * LATE, rel=0.4)
 
 
+def test_friction_that_turns_late_shows_a_lag(robot: Case) -> None:
+    """Where friction is most of the efforts, and the lag half as long."""
+    own = robot.samples
+    friction = 2.0 * np.std(own.effort, axis=0) * np.tanh(own.velocity / 0.02)
+    rubbed = replace(robot, samples=replace(own, effort=own.effort + friction))
+    cause = named(robot, with_lags(rubbed, [LATE // 2] * len(robot.model.robot.joints)))
+    assert cause.kind == "late"
+    assert float(re.findall(r"all are about (\d+) ms late", cause.sentence)[0]) == pytest.approx(50.0, rel=0.4)
+
+
 def test_the_efforts_of_one_joint_are_late(robot: Case) -> None:
     lags = [0] * len(robot.model.robot.joints)
     lags[1] = LATE

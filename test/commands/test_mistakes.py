@@ -102,6 +102,11 @@ def seconds(command: str, count: float) -> Callable[[Path], Arguments]:
     return make
 
 
+def latin(path: Path) -> Path:
+    path.write_text(f"<!-- Gelenk für links -->\n{ARM3}", encoding="latin-1")
+    return path
+
+
 def existing(folder: Path) -> Arguments:
     (folder / "bag").mkdir()
     return "simulate", folder / "bag", "--duration", "3"
@@ -166,7 +171,12 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "gain": (typed(*ROBOT, "--gain", "joint2=fast"), r"'joint2=fast' is not of the form \[JOINT=\]FACTOR"),
     "lock": (typed(*ROBOT, "--lock", "finger"), r"unknown joint to lock 'finger'.*joint1"),
     "unknown option": (typed(*ROBOT, "--ouput", "x"), "--ouput.*--out"),
+    "a command": (lambda _: ("identfy", BAG), r"unknown command 'identfy'. Did you mean 'identify'\?"),
     # bags
+    "a bag of another robot": (
+        lambda _: ("identify", BAGS / "arm7", BAG, *OTHER),
+        r"arm3: .*'joint4' is missing.*another robot\. The URDF's moving joints: joint1, ",
+    ),
     "no such bag": (lambda folder: ("identify", BAG, folder / "nowhere", *ROBOT), "nowhere: no such bag"),
     "no odometry": (typed(*ROBOT, "--floating-base", "--wrench", "/wrench:odom:external"), "no topic /odom.*--odom"),
     "a tf_prefix": (
@@ -205,6 +215,11 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "cutoff too high": (
         configured("{filter: {cutoff: 90}}"),
         r"cutoff of 90 Hz is too high for data at 100 Hz: set the parameter filter.cutoff \(--cutoff\) to 40 or less",
+    ),
+    "a URDF for a model": (typed(*ROBOT, "--model", URDF), r"arm3.urdf: the model cannot be read, it must be JSON as"),
+    "a URDF in Latin": (
+        lambda folder: ("identify", BAG, "--urdf", latin(folder / "a.urdf")),
+        r"a.urdf: .*cannot be read.*save it as UTF-8",
     ),
     "no such model": (typed(*ROBOT, "--model", "no.json"), r"no.json: the model cannot be read"),
 }

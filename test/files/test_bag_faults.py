@@ -329,8 +329,8 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "two formats without metadata": (two_formats, "without metadata.yaml.*one of its files"),
     "empty mcap": (file("a.mcap", b""), "at byte 0, the file is empty"),
     "empty db3": (file("a.db3", b""), "at byte 0, the file is empty"),
-    "db3 called mcap": (file("a.mcap", b"SQLite format 3\0" + bytes(100)), "at byte 0, .*with an MCAP header"),
-    "mcap called db3": (file("a.db3", file_of(Form(), 10)), "at byte 0, .*with an SQLite header"),
+    "no mcap": (file("a.mcap", bytes(100)), "at byte 0, .*with an MCAP header"),
+    "no db3": (file("a.db3", bytes(100)), "at byte 0, .*with an SQLite header"),
     "a ROS 1 bag": (file("a.bag", b"#ROSBAG V2.0\n"), "a bag of ROS 1.*rosbags-convert --src .*a.bag --dst .*a "),
     "a text": (file("a.md", b"# Bag\n"), "wrong type; expected a bag's folder, or a file"),
     "an mcap of ROS 1": (file("a.mcap", file_of(Form(), 10).replace(text("ros2"), text("ros1"))), "profile is 'ros1'"),
@@ -353,6 +353,12 @@ def test_what_is_no_bag_is_named(case: str, tmp_path: Path) -> None:
     assert re.search(message, shown), shown
     assert str(path) in shown
     assert not out.exists()
+
+
+@pytest.mark.parametrize("name", ["a.db3", "a.bag", "a"])
+def test_a_bag_is_what_its_first_bytes_say(name: str, tmp_path: Path) -> None:
+    data = file_of(Form(), 10)
+    assert content(file(name, data)(tmp_path)) == content(file("a.mcap", data)(tmp_path))
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])

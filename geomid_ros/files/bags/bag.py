@@ -25,6 +25,8 @@ from geomid_ros.signals.messages import message_types
 
 _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Database}
 _SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's storage identifier
+_ROS1 = ".bag"
+_MAGIC = {b"\x89MCAP": ".mcap", b"SQLite format": ".db3", b"#ROSBAG": _ROS1}  # first bytes, by the suffix
 _TO_JAZZY = ("--dst-typestore", "ros2_jazzy")
 _METADATA = "metadata.yaml"
 _MOST_MESSAGES = 4096  # per batch: streams wait for each other, so a batch must not exceed the messages kept meanwhile
@@ -199,13 +201,21 @@ def _bag_files(path: Path, stack: ExitStack) -> _BagFiles:
         raise InputError(f"{path}: no such bag")
     if path.is_dir():
         return _in_folder(path, stack)
-    if path.suffix == ".bag":
+    suffix = _type_of(_checked(path))
+    if suffix == _ROS1:
         command = ["rosbags-convert", "--src", str(path), "--dst", str(path.with_suffix("")), *_TO_JAZZY]
         raise InputError(f"{path}: a bag of ROS 1; convert it with: {shlex.join(command)}")
-    if path.suffix not in _SUFFIXES.values():
+    if suffix not in _SUFFIXES.values():
         expected = f"expected a bag's folder, or a file that ends in {' or '.join(_SUFFIXES.values())}"
         raise InputError(f"{path}: cannot be read as a rosbag2 recording, it has the wrong type; {expected}")
-    return _BagFiles((_checked(path),), path.suffix)
+    return _BagFiles((path,), suffix)
+
+
+def _type_of(path: Path) -> str:
+    """Suffix that a file should have by its first bytes, whatever its name is; its own suffix if they are none."""
+    with path.open("rb") as file:
+        first = file.read(max(map(len, _MAGIC)))
+    return next((suffix for magic, suffix in _MAGIC.items() if first.startswith(magic)), path.suffix)
 
 
 def _in_folder(path: Path, stack: ExitStack) -> _BagFiles:

@@ -94,7 +94,10 @@ def _run_xacro(command: Sequence[str], path: Path) -> str:
         text, output = out.read(MOST_URDF_BYTES + 1), errors.read(MOST_URDF_BYTES)
     if status != 0:
         last = " ".join(output.decode(errors="replace").split())[-LONGEST_REASON:]
-        raise InputError(f"{path}: xacro cannot make a URDF of it ({last or status}); is an --xacro-arg missing?")
+        raise InputError(
+            f"{path}: xacro cannot make a URDF of it ({last or status}); is an --xacro-arg missing, or a workspace not "
+            "sourced?"
+        )
     return text.decode(errors="replace")
 
 
