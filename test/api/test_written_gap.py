@@ -99,6 +99,8 @@ def test_the_written_model_leaves_what_the_table_says(
     assert all(outcome.passed for outcome in checked.outcomes)
     times = [checked.rms[name]["value"] / checked.rms[name]["floor"] for name in found.result.channels]
     np.testing.assert_allclose(times, found.result.gap.after, rtol=0.05)
+    if not case.names:
+        return
     again = geomid_ros.find_gap(bag, urdf, validate=unseen, model=tmp_path / "found/estimate.json")
     # Of a joint whose gain was found the model predicts the efforts that were divided by it.
     gains = np.ones(len(found.result.channels))

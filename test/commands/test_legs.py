@@ -139,7 +139,7 @@ def test_a_load_on_the_trunk_is_named(folder: Path, tmp_path: Path) -> None:
     empty = WalkOptions(robot=str(folder / "go2.urdf"), feet=FEET, imu=IMU, gaits=("wobble", "lift"), duration=20.0)
     simulate_walk(tmp_path / "empty", replace(empty, rate=125.0, motion_seed=5, payload=0.0))
     identified(tmp_path / "empty", folder / "go2.urdf").save(tmp_path / "model", report=False)
-    arguments = [folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--out", tmp_path / "gap"]
+    arguments = [folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--alike", "none", "--out", tmp_path / "gap"]
     geomid("gap", *arguments, "--model", tmp_path / "model" / "estimate.json")
     document = json.loads((tmp_path / "gap" / "gap.json").read_text(encoding="utf-8"))
     (sure,) = (finding for finding in document["findings"] if finding["probability"] > 0.95)

@@ -16,8 +16,8 @@ from benchmarks.fuzz.targets.messages import MessagesTarget
 from benchmarks.fuzz.worker import MEMORY, SECONDS
 
 ROOT = Path(__file__).parents[2]
-INPUTS = {"messages": 40, "effects": 40}
-USUAL_INPUTS = 120
+INPUTS = {"messages": 20, "effects": 20}
+USUAL_INPUTS = 60
 
 
 @pytest.fixture(autouse=True)
