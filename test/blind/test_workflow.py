@@ -14,7 +14,7 @@ from files.recordings import QUICK
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description
 
-pytestmark = pytest.mark.usefixtures("without_pictures")
+pytestmark = pytest.mark.usefixtures("found_only")
 
 PERIOD = 5.0
 ARM3 = SimulationOptions(

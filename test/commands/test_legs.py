@@ -31,7 +31,7 @@ from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
 from geomid_ros.simulation.walking import WalkOptions, simulate_walk
 
-from .running import NO_CHOICE, done, geomid, read, refused
+from .running import NO_CHOICE, done, found_only, geomid, read, refused
 
 CONFIG = Path(__file__).parents[2] / "config"
 LEGS = ("--imu", f"/imu:{IMU}", "--contacts", ",".join(CONTACTS), "--cutoff", "15", "--no-report", *NO_CHOICE)
@@ -85,18 +85,11 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
         assert moments[0] + moments[1] > moments[2]
 
 
-def as_estimated(model: Any, columns: Any, files: Any, _errors: Any, _among: Any, fitted: Any) -> dict[str, np.ndarray]:
-    """In place of a fit for each file, which takes as long as the estimate."""
-    parameters = np.zeros(model.dimension)
-    parameters[columns] = fitted(columns)
-    return dict.fromkeys(files, parameters)
-
-
 def identified(bag: Path, urdf: Path, **options: Any) -> geomid_ros.Identification:
     """What the command would write, which takes as long as to find it."""
     usual: dict[str, Any] = {"imu": f"/imu:{IMU}", "contacts": CONTACTS, "cutoff": 15.0, "candidates": []}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("geomid_ros.estimation.estimator.fit_files", as_estimated)
+        found_only(patch)
         return geomid_ros.identify(bag, urdf, **{**usual, **options})
 
 
@@ -134,13 +127,14 @@ def test_an_imu_elsewhere_is_told(folder: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(place, [-100.0, 0.0, 0.0], atol=15.0)
 
 
+@pytest.mark.usefixtures("found_only")
 def test_a_load_on_the_trunk_is_named(folder: Path, tmp_path: Path) -> None:
     """Beside a model of the same robot without it, from another motion: nothing else is sure."""
     empty = WalkOptions(robot=str(folder / "go2.urdf"), feet=FEET, imu=IMU, gaits=("wobble", "lift"), duration=20.0)
     simulate_walk(tmp_path / "empty", replace(empty, rate=125.0, motion_seed=5, payload=0.0))
     identified(tmp_path / "empty", folder / "go2.urdf").save(tmp_path / "model", report=False)
-    arguments = [folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--alike", "none", "--out", tmp_path / "gap"]
-    geomid("gap", *arguments, "--model", tmp_path / "model" / "estimate.json")
+    arguments = [folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--alike", "none"]
+    geomid("gap", *arguments, "--model", tmp_path / "model" / "estimate.json", "--out", tmp_path / "gap")
     document = json.loads((tmp_path / "gap" / "gap.json").read_text(encoding="utf-8"))
     (sure,) = (finding for finding in document["findings"] if finding["probability"] > 0.95)
     assert (sure["effect"], sure["link"]) == ("payload", "base")
