@@ -83,11 +83,3 @@ def check_named(document: dict[str, Any], truth: list[dict[str, Any]]) -> None:
 def test_coloured_noise_is_no_effect(tmp_path: Path) -> None:
     document, _ = found(recorded(Hiding(replace(ARM3, seed=15, noise_time=0.05)), tmp_path), tmp_path / "out")
     assert document["findings"] == []
-
-
-def test_what_has_no_name_gets_none(tmp_path: Path) -> None:
-    hiding = Hiding(replace(ARM3, seed=16), (Hidden("cogging", "joint2"),))
-    document, truth = found(recorded(hiding, tmp_path), tmp_path / "out")
-    assert [entry for entry in document["findings"] if entry["confidence"] == "confident"] == []
-    assert "joint2" in [entry["joint"] for entry in document["unexplained"]]
-    assert truth[0]["joint"] == "joint2"
