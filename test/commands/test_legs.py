@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     description.write_text(urdf("go2.urdf"), encoding="utf-8")
     gaits = ("wobble", "lift")
     simulate_walk(
-        folder / "walk", WalkOptions(robot=str(description), feet=FEET, imu=IMU, gaits=gaits, duration=14.0, rate=125.0)
+        folder / "walk", WalkOptions(robot=str(description), feet=FEET, imu=IMU, gaits=gaits, duration=20.0, rate=125.0)
     )
     return folder
 
@@ -129,7 +129,7 @@ def test_an_imu_elsewhere_is_told(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("found_only")
 def test_a_load_on_the_trunk_is_named(folder: Path, tmp_path: Path) -> None:
     """Beside a model of the same robot without it, from another motion: nothing else is sure."""
-    empty = WalkOptions(robot=str(folder / "go2.urdf"), feet=FEET, imu=IMU, gaits=("wobble", "lift"), duration=14.0)
+    empty = WalkOptions(robot=str(folder / "go2.urdf"), feet=FEET, imu=IMU, gaits=("wobble", "lift"), duration=20.0)
     simulate_walk(tmp_path / "empty", replace(empty, rate=125.0, motion_seed=5, payload=0.0))
     identified(tmp_path / "empty", folder / "go2.urdf").save(tmp_path / "model", report=False)
     arguments = [folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--alike", "none"]
