@@ -30,6 +30,14 @@ def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     undrawn(monkeypatch)
 
 
+@pytest.fixture
+def found_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same, and without what else is made of results."""
+    from commands.running import found_only as apply  # noqa: PLC0415 few tests need it
+
+    apply(monkeypatch)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """For ``make quick``."""
     parser.addoption("--one-case", action="store_true", help="run every parametrized test with its first case only")
@@ -45,6 +53,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """From here on there is garbage, which the tests make."""
+    """From here on there is garbage, which the tests make: little, and it is looked for seldom."""
     gc.freeze()
+    gc.set_threshold(50_000)
     gc.enable()

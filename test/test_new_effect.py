@@ -121,7 +121,8 @@ KINDS = {
 }
 
 
-DRAWN = ("gear_ripple", "cable_pull")  # one with a parameter, one with several; to draw takes longer than all the rest
+# One with a parameter, one with several: to draw takes longer than all the rest, and to look for a gap again as long.
+DRAWN = ("gear_ripple", "cable_pull")
 
 
 def recipe() -> tuple[Path, str]:
@@ -189,7 +190,7 @@ def dry(tmp_path_factory: pytest.TempPathFactory) -> list[Recorded]:
     bag = tmp_path_factory.mktemp("dry") / "bag"
     simulate(
         bag,
-        SimulationOptions(robot="arm3", seed=8, duration=14.0, longest_step=QUICK, hide=(), wrench_frame=WRIST_FRAME),
+        SimulationOptions(robot="arm3", seed=8, duration=12.0, longest_step=QUICK, hide=(), wrench_frame=WRIST_FRAME),
     )
     return recorded(bag)
 
@@ -209,10 +210,11 @@ class Round:
         commands = {
             "gap": self._command("gap", "gap"),
             "identify": self._command("identify", "identify", "--effects", f"effort_offset,{self.kind.name}"),
-            "again": self._command("gap", "again", *known),
             "later": self._command("identify", "later", *known, "--effects", "effort_offset"),
         }
         drawn = {"gap", "identify"} if self.kind.name in DRAWN else set()
+        if drawn:
+            commands["again"] = self._command("gap", "again", *known)
         return {name: self.driver.printed(arguments, name in drawn) for name, arguments in commands.items()}
 
     def _command(self, command: str, out: str, *arguments: str | Path) -> list[str]:
@@ -326,9 +328,10 @@ def test_files_tell_it(found: Round) -> None:
 
 
 def test_a_later_run_starts_from_it(found: Round) -> None:
-    again = found.document("again", "gap.json")
-    assert (again["verdict"], again["findings"]) == ("no gap", [])
-    found.assert_true(found.estimated("again")[found.kind.place])
+    if found.kind.name in DRAWN:
+        again = found.document("again", "gap.json")
+        assert (again["verdict"], again["findings"]) == ("no gap", [])
+        found.assert_true(found.estimated("again")[found.kind.place])
     assert list(found.estimated("later")) == [found.kind.place]
     found.assert_true(found.estimated("later")[found.kind.place])
 

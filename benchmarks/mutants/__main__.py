@@ -18,7 +18,7 @@ from benchmarks.mutants.running import copied, is_killed
 from benchmarks.mutants.selection import Selection
 
 _ROOT = Path(__file__).parents[2]
-_ROOMS = ("gap", "monitoring", "signals")
+_ROOMS = ("checks", "gap", "live", "monitoring", "signals")
 _PROCESSES = 2
 _LONGEST = 200.0  # [s] of tests for one fault
 

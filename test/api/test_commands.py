@@ -109,7 +109,7 @@ def model(without_efforts: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return folder / "estimate.json"
 
 
-@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.usefixtures("found_only")
 def test_a_gap_is_judged_beside_the_delay_of_commands(without_efforts: Path, model: Path) -> None:
     """On the recording that a model is from nothing is found beside it, as far as it goes."""
     found = geomid_ros.find_gap(without_efforts, URDF, model=model, command=TOPIC, gains=GAINS)

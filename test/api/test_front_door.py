@@ -75,7 +75,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("readme")
     (folder / "robot.urdf").write_text((BAGS / "arm3.urdf").read_text())
     hidden = (Hidden("coulomb_friction", "joint2", LEVEL),)
-    simulate(folder / "my_bag", SimulationOptions(robot="arm3", seed=5, duration=15.0, longest_step=QUICK, hide=hidden))
+    simulate(folder / "my_bag", SimulationOptions(robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=hidden))
     page = (ROOT / "docs/pages/use/library.md").read_text(encoding="utf-8")
     lines = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0]
     names: dict[str, Any] = {"folder": folder}

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands.running import undrawn
+from commands.running import found_only
 from files.recordings import BAGS, QUICK, Recorded, altered
 
 import geomid_ros
@@ -86,7 +86,7 @@ def changed(by: Change) -> Callable[[Recorded], Recorded]:
 def test_the_written_model_leaves_what_the_table_says(
     case: Case, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    undrawn(monkeypatch)
+    found_only(monkeypatch)
     bag = altered(recordings[0], tmp_path / "fitted", changed(case.change))
     unseen = altered(recordings[1], tmp_path / "unseen", changed(case.unseen))
     urdf = BAGS / "arm3.urdf"
@@ -99,6 +99,8 @@ def test_the_written_model_leaves_what_the_table_says(
     assert all(outcome.passed for outcome in checked.outcomes)
     times = [checked.rms[name]["value"] / checked.rms[name]["floor"] for name in found.result.channels]
     np.testing.assert_allclose(times, found.result.gap.after, rtol=0.05)
+    if not case.names:
+        return
     again = geomid_ros.find_gap(bag, urdf, validate=unseen, model=tmp_path / "found/estimate.json")
     # Of a joint whose gain was found the model predicts the efforts that were divided by it.
     gains = np.ones(len(found.result.channels))
@@ -111,7 +113,7 @@ def test_the_written_model_leaves_what_the_table_says(
 
 def test_dry_friction_has_the_shape_that_identify_finds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rest and reversals say how sharply it changes its sign; the workflow itself uses motion alone."""
-    undrawn(monkeypatch)
+    found_only(monkeypatch)
     given = BAGS / "arm3", BAGS / "arm3.urdf"
     identified = {e.joint: e.parameters for e in geomid_ros.identify(*given).effects if e.name == "coulomb_friction"}
     named = {f.joint: f.parameters for f in geomid_ros.find_gap(*given).findings if f.effect == "coulomb_friction"}

@@ -17,7 +17,7 @@ BRISK = 2.0
 LATE = 10  # messages, of 10 ms
 
 
-@pytest.fixture(params=ROBOTS, ids=str)
+@pytest.fixture(params=ROBOTS[:1], ids=str)
 def robot(request: pytest.FixtureRequest) -> Case:
     """A robot in a brisk motion: a slow one is about the same a little later."""
     of = case(*request.param)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from benchmarks.corruption.__main__ import identified, judged
 from benchmarks.corruption.faults import FAULTS
 from benchmarks.corruption.recording import SOURCES, Recording
 from checks.test_efforts import case, findings
+from geomid_ros import Identification
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.unexplained import MOST, badly_explained, hint, rms, unexplained
@@ -126,6 +128,12 @@ AFTER = [
 ]
 
 
+@cache
+def whole() -> Identification:
+    """What is identified from the large arm's shipped recording."""
+    return identified(Recording.read(SOURCES["arm7"]), SOURCES["arm7"].bag)
+
+
 def planted(source: str, fault: str, size: Any, folder: Path) -> tuple[Recording, Path]:
     """A recording with a fault, and its bag."""
     if not SOURCES[source].bag.is_dir():
@@ -160,15 +168,13 @@ def test_where_positions_leap_nothing_is_said_to_begin(fault: str, size: Any, tm
 def test_leaps_are_no_motion(tmp_path: Path) -> None:
     """They are told, and what was recorded between them is explained as well as ever."""
     found = identified(*planted("arm7", "positions leap", 0.5, tmp_path))
-    whole = identified(Recording.read(SOURCES["arm7"]), SOURCES["arm7"].bag)
     assert len(found.verdict.reasons) == 1
-    assert np.all(found.estimate.rms < 0.2 * whole.estimate.rms_nominal[: len(found.estimate.rms)])
+    assert np.all(found.estimate.rms < 0.2 * whole().estimate.rms_nominal[: len(found.estimate.rms)])
 
 
 def test_what_was_fitted_is_judged_too() -> None:
     """A part in which a joint is not explained, though what was held out is."""
-    recording = Recording.read(SOURCES["arm7"])
-    found = identified(recording, SOURCES["arm7"].bag)
+    found = whole()
     model, sound = found.session.model, found.session.review.check.recorded
     assert sound is not None
     effort = sound.effort.copy()
@@ -179,5 +185,4 @@ def test_what_was_fitted_is_judged_too() -> None:
 
 
 def test_the_shipped_recording_is_explained() -> None:
-    source = SOURCES["arm7"]
-    assert identified(Recording.read(source), source.bag).verdict.status == 0
+    assert whole().verdict.status == 0

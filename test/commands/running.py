@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from files.recordings import BAGS
@@ -49,6 +50,21 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("geomid_ros.report.drawing.draw_identification", lambda *_: Figure((1.0, 1.0)))
     monkeypatch.setattr("geomid_ros.api.gap.write_gap_page", lambda *_: None)
     monkeypatch.setattr("geomid_ros.report.excitation.motion_figure", lambda *_: Figure((1.0, 1.0)))
+
+
+def as_estimated(model: Any, columns: Any, files: Any, _errors: Any, _among: Any, fitted: Any) -> dict[str, np.ndarray]:
+    """In place of a fit for each file."""
+    parameters = np.zeros(model.dimension)
+    parameters[columns] = fitted(columns)
+    return dict.fromkeys(files, parameters)
+
+
+def found_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nothing be made of what is found, where nobody looks at it: it takes as long as to find it."""
+    undrawn(monkeypatch)
+    monkeypatch.setattr("geomid_ros.estimation.estimator.fit_files", as_estimated)
+    monkeypatch.setattr("geomid_ros.api.identify.Identification._remainder", lambda *_: None)
+    monkeypatch.setattr("geomid_ros.api.gap.simulate_again", lambda *_: ([], "nobody looks at it"))
 
 
 def identify(robot: str, *arguments: str | Path) -> tuple[str | Path, ...]:

@@ -35,7 +35,7 @@ def robot(bag: Path, hide: Hidden | None, **options: Any) -> Path:
     simulate(
         bag,
         SimulationOptions(
-            robot="arm3", seed=5, duration=15.0, longest_step=QUICK, hide=hidden, commands=True, **options
+            robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=hidden, commands=True, **options
         ),
     )
     return bag
@@ -118,7 +118,7 @@ def test_the_written_model_has_what_was_found(found: tuple[Path, str]) -> None:
     )
 
 
-@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.usefixtures("found_only")
 def test_the_model_of_a_doubtful_recording_is_marked_so(tmp_path: Path) -> None:
     parameters = tmp_path / "reversed.yaml"
     parameters.write_text("/**: {ros__parameters: {effort_gain: -1.0}}")
@@ -172,13 +172,13 @@ def without_efforts(folder: Path) -> Arguments:
     return altered(BAGS / "arm3", folder / "silent", joints(effort=np.array([]))), "--urdf", URDF
 
 
-@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.usefixtures("found_only")
 def test_what_the_users_simulator_knows_is_no_gap(folder: Path, rubbing: Path) -> None:
     """The robot has the friction and a spring; its simulator moves the same way, with the friction alone."""
     both = (Hidden("coulomb_friction", "joint2", LEVEL), Hidden("spring", "joint3", 0.5))
     measured = folder / "both"
     simulate(
-        measured, SimulationOptions(robot="arm3", seed=5, duration=15.0, longest_step=QUICK, hide=both, commands=True)
+        measured, SimulationOptions(robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=both, commands=True)
     )
     out = folder / "with a simulator"
     done("gap", measured, "--urdf", URDF, "--simulated", rubbing, "--out", out)

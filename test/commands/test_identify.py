@@ -22,9 +22,9 @@ from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, effect
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
 
-from .running import NO_CHOICE, WRIST, done, geomid, identify, link, read, refused, undrawn
+from .running import NO_CHOICE, WRIST, done, found_only, geomid, identify, link, read, refused
 
-pytestmark = pytest.mark.usefixtures("without_pictures")
+pytestmark = pytest.mark.usefixtures("found_only")
 
 ROBOT = "arm7"
 TABLES = {"links.csv", "effects.csv", "channels.csv"}
@@ -135,7 +135,7 @@ def second(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def small(tmp_path: Path, *arguments: str | Path, status: int = 0) -> dict[str, Any]:
     """The printed estimate of the small arm, checked to be the written one."""
     with pytest.MonkeyPatch.context() as patch:
-        undrawn(patch)
+        found_only(patch)
         document: dict[str, Any] = json.loads(
             done(*identify("arm3", "--out", tmp_path, "--json", *arguments), status=status)
         )

@@ -31,7 +31,7 @@ from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
 from geomid_ros.simulation.walking import WalkOptions, simulate_walk
 
-from .running import NO_CHOICE, done, geomid, read, refused
+from .running import NO_CHOICE, found_only, geomid, refused
 
 CONFIG = Path(__file__).parents[2] / "config"
 LEGS = ("--imu", f"/imu:{IMU}", "--contacts", ",".join(CONTACTS), "--cutoff", "15", "--no-report", *NO_CHOICE)
@@ -61,23 +61,22 @@ def spoiled(folder: Path, out: Path, change: Callable[[Recorded], Recorded | Non
     return write_bag(out / "spoiled", filter(None, map(change, beginning(folder / "walk"))))
 
 
-def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
+def test_masses_are_found(folder: Path) -> None:
     """The total mass to a hundredth and the trunk's with its payload as surely as is said; all links are possible."""
-    done("identify", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS, "--hold-out", "0", "--out", tmp_path)
-    document = read(tmp_path)
-    assert document["verdict"]["result"] == "usable", document["verdict"]
+    found = identified(folder / "walk", folder / "go2.urdf", hold_out=0.0)
+    assert found.verdict.word == USABLE, found.verdict
     for wrong in ("never long enough in the air", "on the base"):
-        assert not [each for each in document["warnings"] if wrong in each]
+        assert not [each for each in found.warnings if wrong in each]
     robot = Robot(urdf("go2.urdf"), floating_base=True)
     truth = dict(zip(robot.body_names, true_parameters(robot, folder / "walk.truth.json"), strict=True))
-    links = {link["name"]: link for link in document["links"]}
-    total = sum(link["mass"] for link in links.values())
+    links = {link.name: link for link in found.links}
+    total = sum(link.mass for link in links.values())
     assert total == pytest.approx(sum(body[0] for body in truth.values()), abs=0.15)
     trunk, true = links["base"], truth["base"]
-    assert trunk["mass"] - 2.5 > robot.bodies[robot.body_names.index("base")].parameters[0], "the payload is found"
-    assert abs(trunk["mass"] - true[0]) < 3.0 * trunk["std"]["mass"]
-    np.testing.assert_allclose(trunk["com"], true[1:4] / true[0], atol=0.015)
-    model = pin.buildModelFromUrdf(str(tmp_path / "identified.urdf"), pin.JointModelFreeFlyer())
+    assert trunk.mass - 2.5 > robot.bodies[robot.body_names.index("base")].parameters[0], "the payload is found"
+    assert abs(trunk.mass - true[0]) < 3.0 * trunk.std_mass
+    np.testing.assert_allclose(trunk.com, true[1:4] / true[0], atol=0.015)
+    model = pin.buildModelFromXML(found.urdf(), pin.JointModelFreeFlyer())
     for inertia in model.inertias[1:]:
         moments = np.linalg.eigvalsh(inertia.inertia)
         assert inertia.mass > 0.0
@@ -85,18 +84,11 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
         assert moments[0] + moments[1] > moments[2]
 
 
-def as_estimated(model: Any, columns: Any, files: Any, _errors: Any, _among: Any, fitted: Any) -> dict[str, np.ndarray]:
-    """In place of a fit for each file, which takes as long as the estimate."""
-    parameters = np.zeros(model.dimension)
-    parameters[columns] = fitted(columns)
-    return dict.fromkeys(files, parameters)
-
-
 def identified(bag: Path, urdf: Path, **options: Any) -> geomid_ros.Identification:
     """What the command would write, which takes as long as to find it."""
     usual: dict[str, Any] = {"imu": f"/imu:{IMU}", "contacts": CONTACTS, "cutoff": 15.0, "candidates": []}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("geomid_ros.estimation.estimator.fit_files", as_estimated)
+        found_only(patch)
         return geomid_ros.identify(bag, urdf, **{**usual, **options})
 
 
@@ -134,13 +126,14 @@ def test_an_imu_elsewhere_is_told(folder: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(place, [-100.0, 0.0, 0.0], atol=15.0)
 
 
+@pytest.mark.usefixtures("found_only")
 def test_a_load_on_the_trunk_is_named(folder: Path, tmp_path: Path) -> None:
     """Beside a model of the same robot without it, from another motion: nothing else is sure."""
     empty = WalkOptions(robot=str(folder / "go2.urdf"), feet=FEET, imu=IMU, gaits=("wobble", "lift"), duration=20.0)
     simulate_walk(tmp_path / "empty", replace(empty, rate=125.0, motion_seed=5, payload=0.0))
     identified(tmp_path / "empty", folder / "go2.urdf").save(tmp_path / "model", report=False)
-    arguments = [folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--out", tmp_path / "gap"]
-    geomid("gap", *arguments, "--model", tmp_path / "model" / "estimate.json")
+    arguments = [folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--alike", "none"]
+    geomid("gap", *arguments, "--model", tmp_path / "model" / "estimate.json", "--out", tmp_path / "gap")
     document = json.loads((tmp_path / "gap" / "gap.json").read_text(encoding="utf-8"))
     (sure,) = (finding for finding in document["findings"] if finding["probability"] > 0.95)
     assert (sure["effect"], sure["link"]) == ("payload", "base")

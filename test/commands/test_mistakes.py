@@ -20,7 +20,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from .running import NO_CHOICE, geomid, refused
 
-pytestmark = pytest.mark.usefixtures("without_pictures")
+pytestmark = pytest.mark.usefixtures("found_only")
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 ARM3 = URDF.read_text()

@@ -19,7 +19,7 @@ from geomid_ros.simulation import SimulationOptions, simulate
 
 from .running import NO_CHOICE, done, geomid, read, refused
 
-pytestmark = pytest.mark.usefixtures("without_pictures")
+pytestmark = pytest.mark.usefixtures("found_only")
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 ARM3 = URDF.read_text()

@@ -43,7 +43,7 @@ SPRING = finding("spring", "j2", [("effort_offset", "j2")], stiffness=2.0, equil
 ELASTIC = finding("joint_elasticity", "j2", [("effort_delay", "")], stiffness=300.0)
 
 
-@pytest.mark.parametrize("own", [ROTOR, SPRING, ELASTIC], ids=["rotor", "spring", "elastic"])
+@pytest.mark.parametrize("own", [ROTOR, ELASTIC], ids=["rotor", "elastic"])
 def test_a_deciding_motion_tells_more_than_random_ones(own: dict[str, Any], tmp_path: Path) -> None:
     judge = rival_effects(TASK.feasibility, written(tmp_path, own))
     random = np.random.default_rng(1)

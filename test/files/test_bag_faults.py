@@ -17,7 +17,7 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import yaml
-from commands.running import NO_CHOICE, done, refused, undrawn
+from commands.running import NO_CHOICE, done, found_only, refused
 from commands.running import read as document_of
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
@@ -213,7 +213,7 @@ class TestTruncated:
 
     def test_the_command_reads_what_is_whole_and_says_so(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """With status 0, and as from a bag that ends there."""
-        undrawn(monkeypatch)
+        found_only(monkeypatch)
         data = file_of(Form(), 600)
         cut, short, outs = tmp_path / "cut.mcap", tmp_path / "short.mcap", [tmp_path / "a", tmp_path / "b"]
         cut.write_bytes(data[: chunk_ends(data)[49] + 50])
@@ -471,7 +471,7 @@ class TestCrafted:
         assert "/\\x1b[2Jgone" in shown
 
 
-@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.usefixtures("found_only")
 class TestAsFound:
     """Cases 98 to 100, and 106: recordings as people have them."""
 

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from . import pendulum
 from .pendulum import Effort
 
-SEEDS = 8  # 40 errors: of less than 31, chance makes one half too wide
+SEEDS = 7  # 35 errors: of less than 31, chance makes one half too wide
 FALSE_ALARMS = 1e-4
 PLANTED: dict[str, tuple[Effort, dict[str, float]]] = {
     "viscous_friction": (lambda _q, v: 0.4 * v, {"coefficient": 0.4}),

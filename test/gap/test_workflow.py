@@ -31,7 +31,7 @@ JOINTS = planted.model().robot.joint_names
 
 def recordings(efforts: Efforts, seed: int) -> tuple[list[Samples], list[Samples]]:
     """To fit, and held out."""
-    return [planted.recording(efforts, seed)], [planted.recording(efforts, seed + 1000, 15.0)]
+    return [planted.recording(efforts, seed)], [planted.recording(efforts, seed + 1000, 13.0)]
 
 
 def run(efforts: Efforts, seed: int, model: MeasurementModel | None = None, **known: Any) -> GapResult:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,7 @@ def nothing(position: FloatArray, *_: FloatArray) -> FloatArray:
     return np.zeros_like(position)
 
 
+@cache
 def recording(
     added: Added = nothing, *, noise: float = 1.0, duration: float = 20.0, seed: int = 1, moves: bool = True
 ) -> Samples:

@@ -63,7 +63,8 @@ def test_a_wrong_model_has_more_in_proportion(tmp_path: Path) -> None:
     ratios = []
     for stiffness in (2.0, 4.0):
         added, known = spring(stiffness)
-        found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), recording(added, noise=0.0))
+        data = recording(added, noise=0.0, duration=8.0)
+        found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), data)
         assert max(found.after.values()) < EXACT
         ratios.append(found.before["joint2"])
     assert ratios[0] > 3.0
@@ -312,7 +313,7 @@ def test_in_closed_loop_a_wrong_one_needs_others_in_proportion(tmp_path: Path) -
         def spring(position: FloatArray, *_: FloatArray, stiffness: float = stiffness) -> FloatArray:
             return stiffness * (position - 0.3) * np.array([0.0, 1.0, 0.0])
 
-        data = recording(spring, noise=0.0)
+        data = recording(spring, noise=0.0, duration=8.0)
         known = effect("spring", "joint2", stiffness=stiffness, equilibrium=0.3)
         after = files(tmp_path, "after", [known])
         found = commanded(files(tmp_path, "before"), after, data, commands(data, data.effort))

@@ -28,9 +28,8 @@ def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> No
     for number in (signal.SIGINT, signal.SIGTERM):
         name = number.name.lower()
         arguments = ("-r", f"__ns:=/{name}", "-r", "joint_states:=/joint_states")
-        nodes[number] = stage.node(
-            {**parameters, "output_folder": str(tmp_path / name)}, *arguments, ready=False, fresh=True
-        )
+        own, fresh = {"output_folder": str(tmp_path / name)}, number == signal.SIGINT
+        nodes[number] = stage.node({**parameters, **own}, *arguments, ready=False, fresh=fresh)
     for number, node in nodes.items():
         stage.serving(node, f"{number.name.lower()}/geomid")
         topic = f"/{number.name.lower()}/geomid/inertias"

@@ -23,6 +23,7 @@ from .stage import NO_CHOICE, description, staged
 MASS = 0.8  # [kg] of the payload
 KINDS = {"/joint_states": JointState}
 SECONDS, MINUTE = 15, 60_000_000_000  # of a motion; [ns]
+RATE = 50.0  # [Hz]: every message takes a millisecond of the processor
 
 
 @pytest.fixture(scope="session")
@@ -31,7 +32,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("payload")
     for name, motion, *hide in (("empty", 1), ("loaded", 2, Hidden("payload", "tool", MASS))):
-        options = {"motion_seed": motion, "duration": SECONDS, "longest_step": QUICK, "hide": tuple(hide)}
+        options = {"motion_seed": motion, "duration": SECONDS, "rate": RATE, "longest_step": QUICK, "hide": tuple(hide)}
         simulate(folder / name, SimulationOptions(robot="arm3", seed=5, **options))
     return folder / "empty", folder / "loaded"
 

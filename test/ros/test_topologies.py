@@ -198,7 +198,7 @@ def test_an_arm_under_ros2_control(stage: Stage) -> None:
 def test_a_quadruped(stage: Stage) -> None:
     """Odometry of a base that turns about all axes, and four feet that carry it."""
     text = urdf("anymal_b_simple_description/robots/anymal.urdf")
-    robot = InMotion(text, duration=6.0, rate=100.0, seed=1, floating_base=True)
+    robot = InMotion(text, duration=6.0, rate=50.0, seed=1, floating_base=True)
     forces = robot.on_feet(["LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"])
     feet = [
         robot.wrenches(f"/{foot.lower()}/wrench", foot, noisy(force, 0.3, seed))
@@ -217,7 +217,7 @@ def test_a_quadruped(stage: Stage) -> None:
 def test_a_quadruped_without_force_sensors(stage: Stage) -> None:
     """An IMU in place of the odometry, and the efforts of the legs in place of sensors under the feet."""
     text = urdf("go2.urdf")
-    robot = InMotion(text, duration=8.0, rate=100.0, seed=1, floating_base=True)
+    robot = InMotion(text, duration=8.0, rate=50.0, seed=1, floating_base=True)
     feet = ["FL_foot", "FR_foot", "RL_foot", "RR_foot"]
     states = robot.joint_states(noisy(robot.efforts(robot.on_feet(feet)), 0.1, seed=9))
     setup = Setup(stage, CONFIG / "quadruped.yaml", text, "-p", f"contacts:={json.dumps(feet)}")

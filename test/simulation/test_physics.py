@@ -57,7 +57,7 @@ def test_a_row_belongs_to_one_instant() -> None:
 
 
 def test_integration_has_converged() -> None:
-    options = replace(QUICK, duration=2.5)
+    options = replace(QUICK, duration=1.0)
     coarse, fine = (recorded(replace(options, longest_step=step)) for step in (5e-4, 1e-4))
     np.testing.assert_allclose(coarse.position, fine.position, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(coarse.effort, fine.effort, rtol=0.0, atol=1e-4)
