@@ -310,15 +310,6 @@ class CoefficientFit:
         """Residual sum of squares of each group."""
         return self.fit.objective.profile.squares(self.fit.point)
 
-    def leaves_less(self, smaller: CoefficientFit, share: float) -> bool:
-        """True if it reduces the residual of a channel by this fraction, with links as fitted or links that stay near
-        the prior."""
-        pairs, visible = ((self, smaller), (self.with_default_priors, smaller.with_default_priors)), self.rows.visible
-        return any(
-            bool(np.any(one.residual_squares[visible] < (1.0 - share) * other.residual_squares[visible]))
-            for one, other in pairs
-        )
-
     @cached_property
     def vector(self) -> FloatArray:
         """All parameters and minus one ``(n + 1,)``; the columns and the target times it are the residual."""

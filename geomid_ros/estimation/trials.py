@@ -41,10 +41,9 @@ class Trial:
         return bool(np.all(self.trials.rows.are_plausible(self.all_columns, self._state[:-1])))
 
     def leaves_less(self, share: float) -> bool:
-        """True if it reduces the residual in fast motion of a channel of the fit by this fraction."""
-        rows = self.trials.rows
-        remaining = rows.products.squares(self._state)[rows.fast]
-        return bool(np.any(remaining < (1.0 - share) * self.trials.fit.residual_squares[rows.fast]))
+        """True if it reduces the residual of a group of the fit in which effects must be visible by this fraction."""
+        visible, remaining = self.trials.rows.visible, self.trials.rows.products.squares(self._state)
+        return bool(np.any(remaining[visible] < (1.0 - share) * self.trials.fit.residual_squares[visible]))
 
     @property
     def _state(self) -> FloatArray:

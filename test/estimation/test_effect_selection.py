@@ -343,4 +343,5 @@ def test_a_trial_is_a_fit_to_second_order(prior_std: float) -> None:
         assert trial.all_columns.tolist() == sorted(columns_.tolist())
         assert trial.score - present.score == pytest.approx(fitted.score - present.score, rel=0.02, abs=0.1)
         assert abs(fitted.score - present.score) > 10.0
-        assert trial.leaves_less(0.05) == fitted.leaves_less(present, 0.05)
+        remaining = np.min((fitted.residual_squares / present.residual_squares)[rows.visible])
+        assert (trial.leaves_less(0.99 - remaining), trial.leaves_less(1.01 - remaining)) == (True, False)
