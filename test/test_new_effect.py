@@ -190,7 +190,7 @@ def dry(tmp_path_factory: pytest.TempPathFactory) -> list[Recorded]:
     bag = tmp_path_factory.mktemp("dry") / "bag"
     simulate(
         bag,
-        SimulationOptions(robot="arm3", seed=8, duration=12.0, longest_step=QUICK, hide=(), wrench_frame=WRIST_FRAME),
+        SimulationOptions(robot="arm3", seed=8, duration=14.0, longest_step=QUICK, hide=(), wrench_frame=WRIST_FRAME),
     )
     return recorded(bag)
 
