@@ -69,6 +69,11 @@ MODEL = (
     "controller's model. To identify a real robot, record its measured efforts"
 )
 """Remark on efforts that nobody measured."""
+NOT_CHECKED = (
+    "the efforts of all joints are rarely measured at once, so that units, signs and zeros are not checked: record "
+    "efforts that are neither missing nor saturated"
+)
+"""Remark on efforts that could not be checked."""
 BIT_BY_BIT = "gradually during the recording"
 """Time of a gradual change."""
 

@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.checks.candidates import MASS_FACTOR, CandidateTest, FaultDecision, contradicted, decide
-from geomid_ros.checks.causes import MODEL, Cause, RecordingFault, as_faults
+from geomid_ros.checks.causes import MODEL, NOT_CHECKED, Cause, RecordingFault, as_faults
 from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.definite_faults import frozen_position, held_efforts, impossible_description, wrong_gains
 from geomid_ros.checks.effort_data import EffortData, is_measured, largest_of_unit
@@ -179,7 +179,8 @@ def check_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray,
     names = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
     findings = as_faults([Cause.of("constant", names)] if names else [])
     if np.count_nonzero(subject.is_moving) < FEWEST:
-        return CheckResult(findings)
+        moving = np.count_nonzero(np.any(np.abs(kept.samples.velocity) > REST_SPEED, axis=1))
+        return CheckResult(findings, (NOT_CHECKED,) if moving >= FEWEST else ())
     judged = _judged(subject, whole)
     return replace(judged, findings=(*findings, *judged.findings))
 

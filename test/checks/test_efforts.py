@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from estimation.arms import Case, Motion, arm, efforts, motion, samples, shipped, truth
 
-from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.checks.causes import NOT_CHECKED, Cause, RecordingFault
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
 from geomid_ros.checks.transforms import _without_sign
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -348,6 +348,16 @@ def test_an_effort_that_changes_for_half_of_the_time_is_judged() -> None:
     effort = of.samples.effort.copy()
     effort[len(effort) // 2 - 20 :, -1] = 0.0
     assert len(findings(of.model, replace(of.samples, effort=-effort))) > 0
+
+
+def test_efforts_that_are_rarely_measured_at_once_are_said_to_be_unchecked() -> None:
+    of = case("arm7", 1)
+    effort = of.samples.effort.copy()
+    for joint in range(3):  # each is missing for a third of the time, another one for the next
+        effort[joint * len(effort) // 3 : (joint + 1) * len(effort) // 3, joint] = np.nan
+    check = checked(of.model, replace(of.samples, effort=-effort))
+    assert check.findings() == ()
+    assert check.remarks == (NOT_CHECKED,)
 
 
 @pytest.mark.parametrize(
