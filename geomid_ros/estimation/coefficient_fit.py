@@ -276,25 +276,6 @@ class CoefficientFit:
         """Inverse of the Hessian ``(fitted, fitted)``."""
         return spd.inverse(self.fit.hessian)
 
-    def determined_by(self, channels: IntArray) -> FloatArray:
-        """Effective number ``(n,)`` of parameters of links that each of these groups determines."""
-        products, traces = self.rows.products, []
-        for places, block in [(products.places[channel], products.blocks[channel]) for channel in channels.tolist()]:
-            links = places[places < self.rows.first_column]
-            traces.append(np.sum(self._links_covariance[links[:, None], links] * block[: len(links), : len(links)]))
-        return self.weights[channels] * np.array(traces, dtype=np.float64)
-
-    @cached_property
-    def _links_covariance(self) -> FloatArray:
-        """Covariance of the links' parameters ``(10 links, 10 links)``, for given coefficients."""
-        manifold, inverse = self.fit.objective.manifold, self.inverse
-        links, real, blocks = manifold.inertial, manifold.real, np.swapaxes(self.fit.point.links_jacobian, -1, -2)
-        covariance = inverse[links, links] - inverse[links, real] @ np.linalg.solve(
-            inverse[real, real], inverse[real, links]
-        )
-        alone, none = ParameterManifold(manifold.links, 0, np.zeros(0)), np.zeros(0)
-        return alone.by_blocks(alone.by_blocks(covariance, blocks, none).T, blocks, none)
-
     @property
     def is_plausible(self) -> BoolArray:
         """See :meth:`CoefficientRows.are_plausible`, for each of the :attr:`chosen_columns`."""

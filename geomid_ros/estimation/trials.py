@@ -134,11 +134,6 @@ class Trials:
         weights = self.fit.weights[self.channels]
         return np.asarray(self._responses[1] - np.einsum("c,cij->ij", weights, self._squares))
 
-    @cached_property
-    def _known(self) -> FloatArray:
-        """Effective number of parameters of links that each of :attr:`channels` determines ``(n,)``."""
-        return self.fit.determined_by(self.channels)
-
     def trials(self, choices: Sequence[IntArray]) -> list[Trial]:
         """Return the minimum for each choice of columns among the coefficients. Those that would be negative and cannot
         be are zero."""
@@ -179,4 +174,4 @@ class Trials:
         noise = np.maximum(squares, self.fit.fit.objective.profile.least[self.channels])
         changes, counts = np.log(noise / self.fit.residual_squares[self.channels]), self.rows.counts[self.channels]
         scores = self.fit.score + outer @ self._others.ravel() + (squares / noise + changes) @ counts
-        return scores - changes @ self._known, counts / noise
+        return scores, counts / noise
