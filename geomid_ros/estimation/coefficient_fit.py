@@ -157,11 +157,12 @@ class CoefficientRows:
         """Groups of fast motion."""
         return slice(len(self.problem.model.channels))
 
-    @property
-    def visible(self) -> IntArray:
-        """Groups with rows in which an effect must be visible: those of fast motion, because near rest the shape of dry
-        friction may absorb it; all for effects with memory, which are about rest."""
-        return np.flatnonzero(self.counts if self.at_rest else self.counts[self.fast])
+    def visible(self, own: IntArray) -> IntArray:
+        """Groups in which an effect that acts on the groups ``own (n,)`` must be visible: those of fast motion, because
+        near rest the shape of dry friction may absorb it. An effect with memory may also be visible where its own
+        joints begin to move; not at rest, where friction may have any value."""
+        first, last = self.fast.stop, (2 if self.at_rest else 1) * self.fast.stop
+        return np.append(np.arange(first), own[(own >= first) & (own < last)])
 
     @cached_property
     def floors(self) -> FloatArray:

@@ -42,7 +42,8 @@ class Trial:
 
     def leaves_less(self, share: float) -> bool:
         """True if it reduces the residual of a group of the fit in which effects must be visible by this fraction."""
-        visible, remaining = self.trials.rows.visible, self.trials.rows.products.squares(self._state)
+        rows = self.trials.rows
+        visible, remaining = rows.visible(self.trials.channels), rows.products.squares(self._state)
         return bool(np.any(remaining[visible] < (1.0 - share) * self.trials.fit.residual_squares[visible]))
 
     @property

@@ -19,6 +19,7 @@ from geomid_ros.estimation.trials import Trials
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, AtJoint, identifiable
 from geomid_ros.model.effects.friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.types import FloatArray, IntArray
@@ -283,14 +284,14 @@ def test_what_remembers_is_judged_at_rest_too_and_nothing_else() -> None:
     np.testing.assert_array_equal(every.counts[: len(moving.counts)], moving.counts)
 
 
-def test_what_remembers_may_be_visible_at_rest_alone() -> None:
-    """Other effects must be visible in fast motion; groups without rows show nothing."""
+def test_what_remembers_may_be_visible_where_its_joint_begins_to_move() -> None:
+    """Other effects must be visible in fast motion, where they may be at any joint."""
     own = problem(planted("arm3", 1, ""))
     count = len(own.model.channels)
-    moving, every = (CoefficientRows(own, at_rest=at_rest).visible for at_rest in (False, True))
-    np.testing.assert_array_equal(moving, np.arange(count))
-    np.testing.assert_array_equal(every, np.flatnonzero(own.counts))
-    assert np.max(every) >= 2 * count
+    groups = np.arange(REGIMES) * count + 1  # fast, slow, rest of a joint
+    moving, every = (CoefficientRows(own, at_rest=at_rest).visible(groups) for at_rest in (False, True))
+    assert moving.tolist() == [*range(count)]
+    assert every.tolist() == [*range(count), groups[1]]
 
 
 def test_all_rows_have_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -343,5 +344,5 @@ def test_a_trial_is_a_fit_to_second_order(prior_std: float) -> None:
         assert trial.all_columns.tolist() == sorted(columns_.tolist())
         assert trial.score - present.score == pytest.approx(fitted.score - present.score, rel=0.02, abs=0.1)
         assert abs(fitted.score - present.score) > 10.0
-        remaining = np.min((fitted.residual_squares / present.residual_squares)[rows.visible])
+        remaining = np.min((fitted.residual_squares / present.residual_squares)[rows.fast])
         assert (trial.leaves_less(0.99 - remaining), trial.leaves_less(1.01 - remaining)) == (True, False)
