@@ -148,7 +148,7 @@ class GridValues:
         if not len(self.values):
             self.first, self.values = start, values[:0]
         kept, end = len(self.values), self._end + len(values)
-        if end > len(self._space):  # room for as many as are kept: a value is copied once on the average
+        if not kept or end > len(self._space):  # room for as many as are kept: a value is copied once on the average
             space, end = np.empty((2 * kept + len(values), *values.shape[1:])), kept + len(values)
             space[:kept], self._space = self.values, space
         self._space[end - len(values) : end] = values

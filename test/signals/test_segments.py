@@ -82,6 +82,7 @@ def test_vectors_are_ready_where_their_window_is_on_the_grid(offset: int) -> Non
 
 def test_what_is_appended_is_there_until_it_is_dropped() -> None:
     values, rng, expected = GridValues(), np.random.default_rng(1), np.zeros((0, 2))
+    values.extend(0, np.zeros((0, 2)))
     assert (values.end, len(values.values)) == (0, 0)
     first = end = 100
     for _ in range(50):
