@@ -213,9 +213,10 @@ class Identification:
         present = model_effects(self.estimate, self.session.loaded.effects)
         effects = "; ".join(unrepresentable(present, ELEMENTS[self.reader]))
         shapes = "; ".join(self.written.missing_shapes)
-        lacks = f"Not representable in {self.written.name}:"
-        said = [f"{lacks} {effects}. The file is fitted without them; estimate.json has them."] if effects else []
-        return " ".join([*said, *([f"{lacks} {shapes} ('geomid export' has --package-path)."] if shapes else [])])
+        file, fitted = self.written.name, "The file is fitted without them; estimate.json has them."
+        said = [f"Not representable in {file}: {effects}. {fitted}"] if effects else []
+        said += [f"{file} lacks shapes: {shapes} ('geomid export' has --package-path)."] if shapes else []
+        return " ".join(said)
 
     def __repr__(self) -> str:
         """Reasons for doubt, the state of convergence, and a line for each link."""
