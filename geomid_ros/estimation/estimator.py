@@ -349,7 +349,7 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         information=uncertainty.links_information(
             manifold, problem.prior_point, point, fitted.rows, known.weighed, errors
         ),
-        posterior=estimate_parts.posterior(problem, point, minimum.errors),
+        posterior=estimate_parts.posterior(problem, point, minimum.link_errors),
         rows=frozen(factor * fitted.rows[0]),
         targets=frozen(factor * fitted.rows[1]),
         known=estimate_parts.weighed(problem, point, errors),

@@ -48,7 +48,7 @@ def live() -> Session:
 def estimate(live: Session) -> Estimate:
     """In a small motion weights and offsets are hardly told apart."""
     identifier = Identifier(live.model)
-    identifier.add(planted.recording(efforts(loaded=False), 72, **SMALL))
+    identifier.add(planted.recording(efforts(loaded=False), 72, 40.0, **SMALL))
     return identifier.solve()
 
 
@@ -97,7 +97,7 @@ def test_it_is_read_from_the_file_beside_the_model_and_without_it_effects_are_kn
 def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session, estimate: Estimate) -> None:
     """An offset that was hardly known is the same one now; were it known by itself, it might be what has changed."""
     own = identified_session(live, estimate)
-    train = [planted.recording(efforts(loaded=True), 73, **SMALL)]
+    train = [planted.recording(efforts(loaded=True), 73, 40.0, **SMALL)]
     held = [planted.recording(efforts(loaded=True), 1073, 15.0, **SMALL)]
 
     def sure(known: OtherRecordings | None, deviations: FloatArray) -> list[Finding]:
