@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TypeAlias
 
 import numpy as np
@@ -273,7 +273,7 @@ class _Minimum:
     errors_for: Callable[..., uncertainty.Uncertainty]
     prior_weights: FloatArray
 
-    @property
+    @cached_property
     def link_errors(self) -> uncertainty.Uncertainty:
         """Errors of the links: a positive coefficient near zero is no better known than a real one of its channel, and
         neither is a link that the data cannot tell from it."""
