@@ -204,6 +204,7 @@ def _at_prior(settings: EstimatorSettings, problem: Problem) -> Problem:
     if coupled is None:
         return problem
     rows = coupled.rows_at(coupled.mean, coupled.trusted)
+    # Not with_known_rows, which fits the coefficients' prior: a choice among many needs none.
     return replace(coupled.problem, known=coupled.problem.known.plus(rows))
 
 
@@ -262,16 +263,15 @@ def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Minimum:
     """End of a solve: the fit, the minimum of the chosen objective, how many rows that one leaves out, the errors of
-    the parameters if the constants of effects are exact, and the effects with these errors. ``errors_for`` makes them
-    for other ``prior_weights (D,)``."""
+    the parameters if the constants of effects are exact, and the effects with these errors. ``errors_for`` returns
+    them for other standard deviations ``(D,)`` of the prior's error."""
 
     fitted: Fit
     solution: Solution
     set_aside: int
     errors: uncertainty.Uncertainty
     effects: tuple[EffectEstimate, ...]
-    errors_for: Callable[..., uncertainty.Uncertainty]
-    prior_weights: FloatArray
+    errors_for: Callable[[FloatArray], uncertainty.Uncertainty]
 
     @cached_property
     def link_errors(self) -> uncertainty.Uncertainty:
@@ -279,8 +279,7 @@ class _Minimum:
         neither is a link that the data cannot tell from it."""
         problem, assumed = self.fitted.problem, self.fitted.assumed_prior_stds
         wider = np.append(assumed[problem.manifold.inertial], problem.default_coefficient_stds(self.solution.point))
-        wider = np.maximum(wider, assumed)
-        return self.errors_for(self.prior_weights * (assumed / wider) ** 2, assumed_prior_stds=wider)
+        return self.errors_for(np.maximum(wider, assumed))
 
 
 def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
@@ -298,17 +297,23 @@ def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
         filtered_fraction(summary, settings.cutoff, per_period)
         for per_period in (WHITE_ROWS_PER_PERIOD, INDEPENDENT_ROWS_PER_PERIOD)
     )
-    errors_for = partial(
-        uncertainty.estimate_uncertainty,
-        [uncertainty.fold_at(manifold, solution.point, products) for products in fitted.fold_products],
-        _known_at(manifold, solution.point, known),
-        1.0 / problem.independent_fraction,
-        from_prior=manifold.log(solution.point, problem.prior_point),
-        groups=_parameter_groups(problem),
-        least_inflation=1.0 / white * independent / problem.independent_fraction,
-        expected=_information_at(manifold, solution.point, known.prior_rows),
-    )
-    errors = errors_for(prior_weights, assumed_prior_stds=fitted.assumed_prior_stds)
+    folds = [uncertainty.fold_at(manifold, solution.point, products) for products in fitted.fold_products]
+    assumed = fitted.assumed_prior_stds
+
+    def errors_for(prior_stds: FloatArray) -> uncertainty.Uncertainty:
+        return uncertainty.estimate_uncertainty(
+            folds,
+            _known_at(manifold, solution.point, known),
+            1.0 / problem.independent_fraction,
+            prior_weights * (assumed / prior_stds) ** 2,
+            manifold.log(solution.point, problem.prior_point),
+            _parameter_groups(problem),
+            least_inflation=1.0 / white * independent / problem.independent_fraction,
+            assumed_prior_stds=prior_stds,
+            expected=_information_at(manifold, solution.point, known.prior_rows),
+        )
+
+    errors = errors_for(assumed)
     effects = estimate_parts.effects(problem, solution.point, errors)
     return _Minimum(
         fitted=fitted,
@@ -317,7 +322,6 @@ def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
         errors=errors,
         effects=effects,
         errors_for=errors_for,
-        prior_weights=prior_weights,
     )
 
 

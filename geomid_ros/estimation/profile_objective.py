@@ -12,7 +12,7 @@ from numpy.linalg import LinAlgError
 from geomid_ros.estimation.channel_products import ChannelProducts, SelectedProducts
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
-from geomid_ros.estimation.tolerances import ROUNDS
+from geomid_ros.estimation.tolerances import LEAST_DECREASE, ROUNDS
 from geomid_ros.geometry import compiled, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
@@ -20,7 +20,6 @@ from geomid_ros.types import FloatArray
 
 _STEPS = 40
 _RADIUS = 16.0  # of the first step: when an effect is added or removed, others move as far as its size
-_LEAST_DECREASE = 1e-3  # of half the score
 _SETTLED = 0.05  # of the logarithm of a standard deviation
 LEAST_SHARE = 1e-10
 """Least residual sum of squares, as a fraction of the target's."""
@@ -136,7 +135,7 @@ def minimum(objective: ProfileObjective, start: Point) -> Solution:
     """Minimise from ``start``, to a twentieth of the parameters' standard deviations."""
     manifold, profile, native = objective.manifold, objective.profile, compiled.native
     if native is None or manifold.positives:
-        return trust_region(objective, start, max_steps=_STEPS, radius=_RADIUS, least_decrease=_LEAST_DECREASE)
+        return trust_region(objective, start, max_steps=_STEPS, radius=_RADIUS, least_decrease=LEAST_DECREASE)
     size, prior = manifold.dimension, profile.prior
     inertias, reals, values = start.pseudo_inertias.copy(), start.reals.copy(), np.empty(_STEPS + 1)
     gradient, information, hessian = np.empty(size), np.empty((size, size)), np.empty((size, size))
@@ -144,7 +143,7 @@ def minimum(objective: ProfileObjective, start: Point) -> Solution:
         *(COEFFICIENTS_TO_COORDINATES, prior.to_tangent, prior.pseudo_inertias, prior.reals),
         *(manifold.scales, objective.weights),
         *(*profile.products.packed, profile.counts, profile.least, objective.known),
-        np.array([GRADIENT * objective.scale, _RADIUS, _LEAST_DECREASE]),
+        np.array([GRADIENT * objective.scale, _RADIUS, LEAST_DECREASE]),
         *(inertias, reals, gradient, information, hessian, values),
     )
     if reason == len(ENDS):

@@ -11,6 +11,8 @@ ROUNDS = 50
 SETTLED = 1e-2
 """Change of logarithms of variances and weights, and of standardised coordinates, at which a fixed point has settled:
 far below their uncertainty."""
+LEAST_DECREASE = 1e-3
+"""Decrease of half a score, or of a score, below which a search for its minimum ends."""
 LARGEST_STEP = 0.5
 """Largest step in tangent coordinates, within which rows are nearly linear."""
 LEAST_DEVIATION = 1e-4

@@ -16,10 +16,8 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
-from geomid_ros.estimation.tolerances import ROUNDING, ROUNDS
+from geomid_ros.estimation.tolerances import LEAST_DECREASE, ROUNDING, ROUNDS
 from geomid_ros.types import BoolArray, FloatArray, IntArray
-
-_LEAST_DECREASE = 1e-3  # of the score
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +160,7 @@ class Trials:
             slopes = np.where(active, -scales * forms[..., 1:, 0], 0.0)
             values = scales * np.linalg.solve(inner, slopes[:, :, None])[:, :, 0]
             scores, weights = self._scores(values)
-            if not np.any(scores < before - _LEAST_DECREASE):
+            if not np.any(scores < before - LEAST_DECREASE):
                 break
             before = scores
         return values, scores

@@ -20,7 +20,7 @@ from geomid_ros.model.effects import DEFAULT_CANDIDATES, AtJoint, identifiable
 from geomid_ros.model.effects.friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
-from geomid_ros.model.weighed_masses import weighed_rows
+from geomid_ros.model.weighed_masses import WeighedRows, weighed_rows
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.types import FloatArray, IntArray
 
@@ -328,12 +328,25 @@ def test_what_a_column_promises_is_what_a_fit_with_it_finds() -> None:
     assert gain == pytest.approx(without.score - larger.score, rel=0.3)
 
 
-@pytest.mark.parametrize("prior_std", [1.0, 0.2])
-def test_a_trial_is_a_fit_to_second_order(prior_std: float) -> None:
-    """Its score, for a small effect that is added, and for another shape of one; the links' prior stds are given."""
+def test_friction_that_would_drive_is_not_there_in_a_trial() -> None:
+    case, effect = planted("arm3", 1, ""), "saturating_friction"
+    driven = case.with_efforts(case.samples.effort - 0.02 * added(effect, 1, case, case.noiseless))
+    rows, own = CoefficientRows(problem(driven)), columns(driven)
+    present, column = rows.fit(own), np.setdiff1d(columns(driven, (effect, 1)), own)
+    (trial,) = Trials(present, column).trials([np.append(own, column)])
+    assert trial.values.tolist() == [0.0]
+    assert trial.score == pytest.approx(present.score, abs=1e-6)
+
+
+@pytest.mark.parametrize(("prior_std", "tied"), [(1.0, 0.0), (0.2, 0.0), (1.0, 300.0)])
+def test_a_trial_is_a_fit_to_second_order(prior_std: float, tied: float) -> None:
+    """Its score, for a small effect that is added, and for another shape of one; the links' prior stds are given. A
+    prior may tie all parameters to each other."""
     case = planted("arm3", 1, "")
     small = case.with_efforts(case.samples.effort + 0.02 * added("spring", 1, case, case.noiseless))
-    rows, own = CoefficientRows(problem(small)), columns(small)
+    free = problem(small)
+    tie = tied / np.append(np.full(free.manifold.inertial.stop, 10.0), free.scales)[None]
+    rows, own = CoefficientRows(free.with_known_rows(WeighedRows(tie, tie @ free.prior))), columns(small)
     present = rows.fit(own, prior_stds=prior_std * rows.problem.default_stds)
     shapes = next(rows.shapes[m] for m in rows.mechanisms(own) if m[:2] == ("coulomb_friction", AtJoint(1)))
     (used,), (spring,) = np.intersect1d(shapes, own), np.setdiff1d(columns(small, ("spring", 1)), own)
