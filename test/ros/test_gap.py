@@ -25,7 +25,6 @@ from .stage import Stage, description, messages, staged
 URDF = BAGS / "arm3.urdf"
 ARM3 = {"robot_description": description("arm3")}
 SECONDS = 32.0
-RATE = 50.0  # [Hz]: every message takes a millisecond of the processor
 CHANGE = 22.0  # [s] when the friction grows
 HOUR = 3_600_000_000_000  # [ns]
 LEVEL = 1.0  # [N m] of the friction at joint2
@@ -40,9 +39,7 @@ def rubbing(tmp_path_factory: pytest.TempPathFactory) -> list[Recorded]:
     hide = (Hidden("coulomb_friction", "joint2", LEVEL),)
     simulate(
         bag,
-        SimulationOptions(
-            robot="arm3", seed=5, duration=SECONDS, rate=RATE, longest_step=QUICK, hide=hide, motion="aperiodic"
-        ),
+        SimulationOptions(robot="arm3", seed=5, duration=SECONDS, longest_step=QUICK, hide=hide, motion="aperiodic"),
     )
     return [item for item in recorded(bag) if item.topic == "/joint_states"]
 
