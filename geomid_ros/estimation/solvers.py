@@ -95,11 +95,12 @@ def trust_region(
             ratio = float((evaluation.value - trial.value) / predicted)
             if ratio >= _ACCEPT:
                 break
-            hidden = predicted <= _HIDDEN * evaluation.value
+            size = abs(evaluation.value)  # rounding can make a value less than zero
+            hidden = predicted <= _HIDDEN * size
             if hidden and np.linalg.norm(trial.gradient) <= 0.5 * np.linalg.norm(evaluation.gradient):
                 ratio = 1.0
                 break
-            if predicted <= _ROUNDING * evaluation.value:
+            if predicted <= _ROUNDING * size:
                 return Solution(point, evaluation, *_ROUNDED, step, tuple(values))
             radius = 0.25 * length
         if ratio < _SHRINK_BELOW:

@@ -82,14 +82,24 @@ def transport_factor(base: FloatArray, point: FloatArray) -> FloatArray:
     between them."""
     values, vectors = np.linalg.eigh(base)
     root, inverse = (composed(power, vectors) for power in (np.sqrt(values), 1.0 / np.sqrt(values)))
-    values, vectors = np.linalg.eigh(congruence(inverse, point))
+    values, vectors = relative_spectrum(inverse, point)
     return np.asarray(root @ composed(np.sqrt(values), vectors) @ inverse)
+
+
+def relative_spectrum(inverse_root: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues ``(..., n)``, ascending, of ``G point G``, G the ``inverse_root`` of a base, and their eigenvectors.
+
+    They are positive: one that is lost in the rounding of the largest counts as that rounding, so that a link which
+    data made thin beyond double precision has a finite distance.
+    """
+    values, vectors = np.linalg.eigh(congruence(inverse_root, point))
+    return np.maximum(values, np.finfo(float).eps * values[..., -1:]), vectors
 
 
 def relative_eigenvalues(base: FloatArray, point: FloatArray) -> FloatArray:
     """Eigenvalues of ``base^-1/2 point base^-1/2`` in ascending order, shape ``(..., n)``."""
     values, vectors = np.linalg.eigh(base)
-    return np.asarray(np.linalg.eigvalsh(congruence(composed(1.0 / np.sqrt(values), vectors), point)))
+    return relative_spectrum(composed(1.0 / np.sqrt(values), vectors), point)[0]
 
 
 def distance(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -146,6 +146,18 @@ def test_trial_points_that_overflow_shorten_the_step(
     assert np.isfinite(longer.values).all()
 
 
+def test_where_rounding_hides_the_descent_below_zero_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounding can make a sum of squares of huge parts less than zero."""
+    case = problem(1, ALL)
+    objective = case.residual(GAMMA)
+    evaluate = type(objective).evaluate
+    monkeypatch.setattr(
+        type(objective), "evaluate", lambda self, point: replace(evaluate(self, point), value=-1e6 * self.scale)
+    )
+    solution = trust_region(objective, case.prior)
+    assert solution.reason == "no decrease left in rounding"
+
+
 def _longer(tangent: FloatArray) -> FloatArray:
     """A thousand times as long, if it is not short."""
     return 1000.0 * tangent if np.linalg.norm(tangent) > 1e-4 else tangent

@@ -39,6 +39,16 @@ def test_it_agrees_with_pyriemann() -> None:
     assert spd.distance(a, b) == pytest.approx(distance.distance_riemann(a, b), rel=ROUNDING)
 
 
+def test_a_body_thinner_than_double_precision_has_a_finite_distance() -> None:
+    """Beyond sixteen digits an eigenvalue is rounding, of any sign; the others still count."""
+    rng = np.random.default_rng(1)
+    turns = np.array([np.linalg.qr(rng.normal(size=(4, 4)))[0] for _ in range(50)])
+    thin = spd.composed(np.tile([1e-12, 1.0, 1e3, 1e7], (50, 1)), turns)
+    distances = spd.distance(np.tile(np.eye(4), (50, 1, 1)), thin)
+    assert np.all(distances >= np.linalg.norm(np.log([1e3, 1e7])))
+    assert np.all(distances <= np.linalg.norm(np.log([1e-10, 1e3, 1e7])))
+
+
 def test_positive_definite_is_what_has_no_other_eigenvalues() -> None:
     rng = np.random.default_rng(1)
     matrices = np.concatenate([bodies.spd(rng, 5), bodies.symmetric(rng, 50) + 1.5 * np.eye(4)])
