@@ -11,12 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import PPoly
-from scipy.linalg import null_space
 
 from geomid_ros.types import FloatArray, frozen
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +182,8 @@ class MotionForm:
     @cached_property
     def _weights(self) -> FloatArray:
         """Weights of cosines, sines and a constant in waves at rest at the ends, ``(2 harmonics + 1, waves)``."""
+        from scipy.linalg import null_space  # noqa: PLC0415 of exciting motions alone, takes long to load
+
         return np.asarray(null_space(self._harmonic_table(np.zeros(1))[:, 0]))
 
     def _harmonic_table(self, times: FloatArray) -> FloatArray:
@@ -215,6 +219,8 @@ class MotionForm:
 
 def _to_and_fro(begin: float, end: float) -> tuple[PPoly, ...]:
     """Position, velocity, acceleration and jerk of a run to and fro at constant speed, with smooth blends."""
+    from scipy.interpolate import PPoly  # noqa: PLC0415 of exciting motions alone, takes long to load
+
     half = 0.5 * (end - begin)
     blend = _BLEND * half
     knots = np.cumsum([begin, blend, half - 2.0 * blend, blend, blend, half - 2.0 * blend, blend])

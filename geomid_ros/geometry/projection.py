@@ -41,8 +41,6 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from scipy.optimize.elementwise import find_root
-from scipy.special import lambertw
 
 from geomid_ros.geometry import compiled, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -80,6 +78,8 @@ def lambert_w(z: FloatArray) -> FloatArray:
     singularity is at ``v = -2``. So the compiled projection computes it by one polynomial in v, up to v = 1:
     :func:`coefficients`.
     """
+    from scipy.special import lambertw  # noqa: PLC0415 only without the compiled loops
+
     inside = z > -1.0 / math.e
     return np.where(inside, lambertw(np.where(inside, z, 0.0)).real, -1.0)
 
@@ -251,6 +251,8 @@ class _Roots:
             ends[short] *= 2.0
             before_root = (self._constraint(short, ends[short])[0] > 0.0) == rising[short]
             short = short[before_root & np.isfinite(ends[short])]
+        from scipy.optimize.elementwise import find_root  # noqa: PLC0415 only without the compiled loops
+
         rows = np.flatnonzero(searched)
         self.multiplier[rows] = find_root(
             lambda multiplier, row: self._constraint(row.astype(np.int64), multiplier)[0],
