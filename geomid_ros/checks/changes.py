@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import TypeAlias
 
 import numpy as np
@@ -150,7 +151,7 @@ def _load(subject: EffortData, place: int, link: str, factor: FloatArray) -> _Ki
         way = "more" if mass > 0.0 else "less"
         return Cause.of("load", subject.names, link=link, mass=abs(mass), way=way, when=when)
 
-    return _Kind(lambda of: of.regressor[:, :, 10 * place : 10 * place + 10] @ factor, cause)
+    return _Kind(lambda of: of.columns_of(place, factor), cause)
 
 
 def _by_position(subject: EffortData) -> FloatArray:
@@ -224,32 +225,35 @@ def lags(subject: EffortData) -> Iterator[FaultCandidate]:
 
     Efforts that come late are those of an earlier motion, to which links, friction and rotors are fitted.
     """
+    earlier = cache(partial(_in_earlier_motion, subject))
     every = np.ones(len(subject.joints), dtype=bool)
-    alone = np.arange(len(every)) == _most_delayed(subject)
+    alone = np.arange(len(every)) == _most_delayed(subject, earlier)
     for late in (every, alone) if len(every) > 1 else (every,):
-        lag, deviation = _most_probable_lag(subject, late)
+        lag, deviation = _most_probable_lag(subject, late, earlier)
         if abs(lag) < _MOST_LAG and abs(lag) - STDS_OF_95 * deviation > _LEAST_LAG:
             yield _late(subject, late, lag)
 
 
-def _most_delayed(subject: EffortData) -> int:
+def _most_delayed(subject: EffortData, earlier: Callable[[float], EffortData]) -> int:
     """Channel that the fitted links, with any friction, explain much better at another time."""
-    links, every = subject.links(subject.nominal), np.ones(len(subject.joints), dtype=bool)
+    links = subject.links(subject.nominal)
     residuals = [
-        (of := _delayed(subject, lag, every)).without_friction((of.measured - of.regressor @ links).T[:, :, None])
+        (of := earlier(lag)).without_friction((of.measured - of.link_efforts(links)).T[:, :, None])
         for lag in (0.0, _LEAST_LAG, -_LEAST_LAG)
     ]
     at_once, *others = np.sum(np.square(residuals), axis=(2, 3))
     return int(np.argmin(np.min(others, axis=0) / at_once))
 
 
-def _most_probable_lag(subject: EffortData, late: BoolArray) -> tuple[float, float]:
+def _most_probable_lag(
+    subject: EffortData, late: BoolArray, earlier: Callable[[float], EffortData]
+) -> tuple[float, float]:
     """Lag [s] of the channels ``late (C,)`` at which the evidence has its first maximum, and its standard deviation by
     as many independent samples as the shortest recording's; beyond ``_MOST_LAG`` any."""
     found, best = {0: subject.nominal.log_evidence}, 0
     while True:
         for step in {best - 1, best + 1} - {*found}:
-            found[step] = _delayed(subject, step * _LEAST_LAG, late).nominal.log_evidence
+            found[step] = _with_late(subject, late, earlier(step * _LEAST_LAG)).nominal.log_evidence
         best, previous = max(found, key=lambda step: found[step]), best
         if best == previous or abs(best) * _LEAST_LAG > _MOST_LAG:
             break
@@ -264,11 +268,11 @@ def _late(subject: EffortData, late: BoolArray, lag: float) -> FaultCandidate:
     time = f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}"
     sizes = f"all are about {time}" if np.all(late) else f"that of '{names[0]}' about {time}"
     cause = Cause.of("late", names, sizes=sizes)
-    return FaultCandidate(corrected=lambda of: _delayed(of, lag, late), cause=cause)
+    return FaultCandidate(corrected=lambda of: _with_late(of, late, _in_earlier_motion(of, lag)), cause=cause)
 
 
-def _delayed(subject: EffortData, lag: float, late: BoolArray) -> EffortData:
-    """Subject in which the channels ``late (C,)`` feel the motion that was a ``lag`` [s] earlier."""
+def _in_earlier_motion(subject: EffortData, lag: float) -> EffortData:
+    """Subject in the motion that was a ``lag`` [s] earlier."""
     samples, later = subject.samples, subject.next_samples
     times = 1e-9 * (later.stamps - samples.stamps)[:, None]
     change = later.acceleration - samples.acceleration
@@ -285,9 +289,15 @@ def _delayed(subject: EffortData, lag: float, late: BoolArray) -> EffortData:
         acceleration=samples.acceleration - lag * jerk,
         effects=effects,
     )
-    delayed = subject.with_samples(earlier)
-    if not np.all(late):
-        for name in ("regressor", "predicted", "friction"):
-            both = np.moveaxis(getattr(subject, name), 1, -1), np.moveaxis(getattr(delayed, name), 1, -1)
-            delayed.__dict__[name] = np.moveaxis(np.where(late, both[1], both[0]), -1, 1)
-    return delayed
+    return subject.with_samples(earlier)
+
+
+def _with_late(subject: EffortData, late: BoolArray, earlier: EffortData) -> EffortData:
+    """Subject whose channels ``late (C,)`` feel the ``earlier`` motion."""
+    if np.all(late):
+        return earlier
+    mixed = earlier.with_samples(earlier.samples)
+    of_pairs = late[subject.pairs[0], None, None]
+    for name, chosen in {"rows": of_pairs, "predicted": late, "friction": late[:, None]}.items():
+        mixed.__dict__[name] = np.where(chosen, getattr(earlier, name), getattr(subject, name))
+    return mixed

@@ -30,9 +30,7 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 _SLOW = 0.05  # fraction of a joint's largest speed, below which stiction is arbitrary
 STRETCHES = 20
 """Number of stretches of a recording: a change may begin with each, and they alternate between two parts."""
-_OF_MOTION = (
-    "regressor", "predicted", "friction", "unknowns", "tolerated", "_bases",
-)  # fmt: skip
+_OF_MOTION = ("rows", "predicted", "friction", "unknowns", "tolerated", "_bases")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -105,8 +103,8 @@ class EffortData:
             bags=self.bags[chosen],
             next_samples=self.next_samples.select(chosen),
         )
-        if "regressor" in self.__dict__:
-            part.__dict__["regressor"] = self.regressor[chosen]
+        if "rows" in self.__dict__:
+            part.__dict__["rows"] = self.rows[:, chosen]
         if "unknowns" in self.__dict__:
             part.__dict__["unknowns"] = self.unknowns.select(chosen)
         return part
@@ -191,13 +189,38 @@ class EffortData:
         return np.asarray(self.measured_std > LEAST_SIGMA * largest_of_unit(self.measured_std, self.units))
 
     @cached_property
-    def regressor(self) -> FloatArray:
-        """Effort rows ``(N, C, D)`` over the links' parameters."""
-        return self._rows(self.robot.gravity, *self.robot.configuration(self.samples))
+    def pairs(self) -> tuple[IntArray, IntArray]:
+        """All pairs of a channel and a body that its joint moves, by channel: both indices ``(P,)``."""
+        channels, bodies = np.nonzero(self.robot.supports[self.joints])
+        return channels, bodies
 
-    def _rows(self, gravity: FloatArray, *motion: FloatArray) -> FloatArray:
-        rows = self.robot.with_gravity(gravity).joint_effort_rows(*motion)[:, self.joints]
-        return rows.reshape(len(self.samples), len(self.joints), len(self.urdf_parameters))
+    @cached_property
+    def rows(self) -> FloatArray:
+        """Effort rows of the :attr:`pairs` over their body's parameters ``(P, N, 10)``."""
+        return self._rows(self.robot, *self.robot.configuration(self.samples))
+
+    def _rows(self, robot: Robot, *motion: FloatArray) -> FloatArray:
+        return robot.rows_of_pairs(*motion)[np.isin(np.nonzero(robot.supports)[0], self.joints)]
+
+    @cached_property
+    def _rows_by_gravity(self) -> FloatArray:
+        """Derivatives of the :attr:`rows` by each axis of gravity ``(3, P, N, 10)``."""
+        positions, *motion = self.robot.configuration(self.samples)
+        at_rest = [np.zeros_like(rates) for rates in motion]
+        return np.array([self._rows(self.robot.with_gravity(axis), positions, *at_rest) for axis in np.eye(3)])
+
+    def link_efforts(self, parameters: FloatArray, rows: FloatArray | None = None) -> FloatArray:
+        """Efforts ``(N, C)`` of links with ``parameters (D,)``, by ``rows (P, N, 10)``; in this motion unless given."""
+        channels, bodies = self.pairs
+        of_pairs = (self.rows if rows is None else rows) @ parameters.reshape(-1, 10, 1)[bodies]
+        return np.asarray(of_pairs[:, :, 0].T @ (channels[:, None] == np.arange(len(self.joints))))
+
+    def columns_of(self, body: int, factor: FloatArray) -> FloatArray:
+        """Effort columns ``(N, C, k)`` of a change of a body's parameters by a ``factor (10, k)``."""
+        channels, bodies = self.pairs
+        columns = np.zeros((*self.measured.shape, factor.shape[1]))
+        columns[:, channels[bodies == body]] = (self.rows[bodies == body] @ factor).transpose(1, 0, 2)
+        return columns
 
     @cached_property
     def predicted(self) -> FloatArray:
@@ -225,13 +248,13 @@ class EffortData:
     @cached_property
     def unknowns(self) -> Unknowns:
         """Effort columns of the links' errors, of unit variance, and of friction."""
+        channels, bodies = self.pairs
         errors, columns = list[IntArray](), list[FloatArray]()
-        for channel, is_distal in enumerate(self.robot.supports[self.joints]):
-            (bodies,) = np.nonzero(is_distal)
-            rows = self.regressor[:, channel].reshape(-1, len(is_distal), 10)[:, bodies].transpose(1, 0, 2)
-            by_errors = (rows @ self.factor[bodies]).transpose(1, 0, 2).reshape(len(self.regressor), -1)
-            columns.append(np.column_stack([by_errors, self.friction[:, channel]]))
-            errors.append((10 * bodies[:, None] + np.arange(10)).ravel())
+        for channel, friction in enumerate(self.friction.transpose(1, 0, 2)):
+            felt = bodies[channels == channel]
+            by_errors = self.rows[channels == channel] @ self.factor[felt]
+            columns.append(np.concatenate([*by_errors, friction], axis=1))
+            errors.append((10 * felt[:, None] + np.arange(10)).ravel())
         return Unknowns(len(self.urdf_parameters), tuple(errors), tuple(columns))
 
     @cached_property
@@ -296,14 +319,12 @@ class EffortData:
     def explained(self, found: Evidence) -> FloatArray:
         """Efforts that are explained ``(N, C)``, friction included."""
         friction = np.einsum("nck,ck->nc", self.friction, found.friction)
-        return np.asarray(self.regressor @ self.links(found) + self.measured_std * friction)
+        return np.asarray(self.link_efforts(self.links(found)) + self.measured_std * friction)
 
     def fitted_gravity(self, parameters: FloatArray) -> FloatArray:
         """Gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain the efforts best."""
-        positions, *motion = self.robot.configuration(self.samples)
-        at_rest = [np.zeros_like(rates) for rates in motion]
-        by_gravity = [self._rows(axis, positions, *at_rest) @ parameters for axis in np.eye(3)]
-        residual = self.measured - self._rows(np.zeros(3), positions, *motion) @ parameters
+        by_gravity = [self.link_efforts(parameters, rows) for rows in self._rows_by_gravity]
+        residual = self.measured - self.link_efforts(parameters) + np.tensordot(self.robot.gravity, by_gravity, 1)
         columns = (np.array([*by_gravity, residual]) / self.measured_std).transpose(2, 1, 0)
         columns = self.without_friction(columns)
         return np.asarray(np.linalg.lstsq(columns[:, :, :3].reshape(-1, 3), columns[:, :, 3].ravel(), rcond=1e-6)[0])
@@ -331,7 +352,7 @@ class EffortData:
     def fitted_slopes(self, fit: Evidence) -> tuple[FloatArray, FloatArray]:
         """Slope of the fitted links' efforts over the URDF's, and their correlation, which is zero where these links
         explain little of the measurement ``(C,)``. If it is negative, as if mass were, efforts have the wrong sign."""
-        fitted, nominal = self.regressor @ self.links(fit), self.predicted
+        fitted, nominal = self.link_efforts(self.links(fit)), self.predicted
         slopes, correlations = _slopes(fitted - np.mean(fitted, axis=0), nominal - np.mean(nominal, axis=0))
         explain = np.std(fitted, axis=0) > LARGEST_RESIDUAL * self.measured_std
         return slopes, np.where(explain, correlations, 0.0)

@@ -421,13 +421,12 @@ def _zero(subject: EffortData, joint: int, sign: float, start: float) -> FaultCa
         zero, mended = start, read(subject)
         fitted = mended.nominal
         for _ in range(ROUNDS):
-            links = mended.links(fitted)
-            ahead, behind = (read(subject, zero + step) for step in (STEP, -STEP))
-            rate = (ahead.regressor - behind.regressor) @ links * (0.5 * TILT / STEP)
-            mended = read(subject, zero)
+            ahead, behind = (read(subject, zero + step).link_efforts(mended.links(fitted)) for step in (STEP, -STEP))
+            rate = (ahead - behind) * (0.5 * TILT / STEP)
             mended.__dict__["predicted"] = mended.predicted + (start - zero) / TILT * rate
             fitted = mended.evidence(unknown=rate[:, :, None])
             zero = start + TILT * float(fitted.link_errors[-1])
+            mended = read(subject, zero)
         return replace(fitted, estimates=np.array([zero]), estimate_deviations=TILT * fitted.deviations()[-1:])
 
     def cause(judged: Evidence) -> Cause:

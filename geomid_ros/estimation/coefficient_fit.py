@@ -10,7 +10,7 @@ import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
-from geomid_ros.estimation.objective import rows_at
+from geomid_ros.estimation.objective import products_at
 from geomid_ros.estimation.problem import Problem, required_columns
 from geomid_ros.estimation.profile_objective import (
     Profile,
@@ -138,8 +138,8 @@ class CoefficientRows:
     @cached_property
     def known_products(self) -> FloatArray:
         """Gram matrix of all columns and the residual of the known rows, at the prior without effects."""
-        rows = rows_at(*self._prior(self.problem.scales), self.problem.known.rows, self.problem.known.targets)
-        return np.asarray(rows.T @ rows)
+        known = self.problem.known
+        return products_at(*self._prior(self.problem.scales), known.rows, known.targets)
 
     def _prior(self, scales: FloatArray) -> tuple[ParameterManifold, Point]:
         """Manifold with coefficients of these scales, and the prior without effects."""

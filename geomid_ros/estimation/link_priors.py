@@ -146,7 +146,8 @@ class CoupledPrior(ABC):
         expected = np.column_stack([tangent, self._covariance_root(found, tangent)])
         weights = {}
         for name, off in zip(self.names, self.block_distances(before), strict=True):
-            square = float(np.sum((off @ expected) ** 2))
+            (used,) = np.nonzero(np.any(off, axis=0))
+            square = float(np.sum((off[:, used] @ expected[used]) ** 2))
             weights[name] = min(1.0, (self.freedom + len(off)) / (self.freedom + square))
         return weights
 

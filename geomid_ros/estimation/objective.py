@@ -169,7 +169,7 @@ class ResidualObjective(_WeightedObjective):
     nothing.
 
     Attributes:
-        known: Number of rows, the last ones, that were not measured, see :func:`rows_at`.
+        known: Number of rows, the last ones, that were not measured, see :func:`products_at`.
     """
 
     known: int = field(default=0, kw_only=True)
@@ -182,8 +182,8 @@ class ResidualObjective(_WeightedObjective):
     @cached_property
     def _known_products(self) -> FloatArray:
         known = slice(len(self.rows) - self.known, None)
-        rows = rows_at(self.manifold, self.prior, self.rows[known], self.targets[known]) / self.sigmas[known, None]
-        return rows.T @ rows
+        rows, targets, sigmas = self.rows[known], self.targets[known], self.sigmas[known]
+        return products_at(self.manifold, self.prior, rows / sigmas[:, None], targets / sigmas)
 
     @cached_property
     def products(self) -> FloatArray:
@@ -222,7 +222,7 @@ class ProductsObjective:
         products: Gram matrix ``(D + 1, D + 1)`` of the columns ``[A b]``, of rows of standard deviation 1.
         prior_weights: ``(D,)``, the factors of the squared distance to the prior.
         rows_weight: Sum of the rows' weights (Remark 2).
-        known: Products of the known rows, see :func:`rows_at`.
+        known: Products of the known rows, see :func:`products_at`.
     """
 
     manifold: ParameterManifold
@@ -249,10 +249,17 @@ class ProductsObjective:
         return with_prior(self.manifold, point, self.prior, self.prior_weights, rows, self.known)
 
 
-def rows_at(manifold: ParameterManifold, prior: Point, rows: FloatArray, targets: FloatArray) -> FloatArray:
-    """Convert rows ``(N, D)`` to rows of :meth:`ParameterManifold.offset` the prior, with their residuals there as the
-    last column, ``(N, D + 1)``. So known rows keep their precision in directions in which a link is thin."""
-    return np.column_stack([manifold.offset_rows(prior, rows), rows @ prior.parameters - targets])
+def products_at(manifold: ParameterManifold, prior: Point, rows: FloatArray, targets: FloatArray) -> FloatArray:
+    """Products ``(D + 1, D + 1)`` of rows ``(N, D)``, converted to rows of :meth:`ParameterManifold.offset` the prior,
+    and of their residuals there. So known rows keep their precision in directions in which a link is thin."""
+    converted = np.column_stack([manifold.offset_rows(prior, rows), rows @ prior.parameters - targets])
+    products = np.zeros((manifold.dimension + 1, manifold.dimension + 1))
+    # Rows of few links have few products, and those of the same links follow each other.
+    links = np.any(rows[:, manifold.inertial].reshape(len(rows), manifold.links, spd.SIZE), axis=2)
+    for part in np.split(converted, 1 + np.flatnonzero(np.any(links[1:] != links[:-1], axis=1))):
+        (used,) = np.nonzero(np.any(part, axis=0))
+        products[used[:, None], used] += part[:, used].T @ part[:, used]
+    return products
 
 
 def dual_metric(manifold: ParameterManifold, point: Point) -> FloatArray:
@@ -310,7 +317,7 @@ def with_prior(
         weights: Weights ``(D,)`` of the tangent coordinates to the prior, equal within a link.
         rows: Half of the rows' part, its derivative ``(D,)`` by the parameters, and the Gram matrix ``(D + 1, D + 1)``
             of their columns and targets.
-        known: Products of the known rows (:func:`rows_at`), if there are any.
+        known: Products of the known rows (:func:`products_at`), if there are any.
     """
     value, slope, products = rows
     known = np.zeros(products.shape) if known is None else known

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
-from geomid_ros.estimation.objective import dual_metric, row_weights, rows_at
+from geomid_ros.estimation.objective import dual_metric, products_at
 from geomid_ros.estimation.starting_point import (
     DEFAULT_PRIOR_STD,
     first_sigmas,
@@ -124,12 +124,8 @@ class Problem:
     @cached_property
     def known_products(self) -> FloatArray:
         """Gram matrix of the known rows, weighted up: of the measured rows only a fraction is independent."""
-        rows = rows_at(self.manifold, self.prior_point, self.known.rows, self.known.targets)
-        return np.asarray(self._known_factor * rows.T @ rows)
-
-    @property
-    def _known_factor(self) -> float:
-        return max(1.0, 1.0 / self.independent_fraction)
+        products = products_at(self.manifold, self.prior_point, self.known.rows, self.known.targets)
+        return max(1.0, 1.0 / self.independent_fraction) * products
 
     @cached_property
     def row_weights(self) -> FloatArray:
@@ -141,7 +137,9 @@ class Problem:
     @cached_property
     def known_weight(self) -> float:
         """Sum of the weights (Remark 2) of the known rows."""
-        return self._known_factor * float(np.sum(row_weights(self.manifold, self.prior_point, self.known.rows)))
+        squares, links = np.diag(self.known_products)[:-1], self.manifold.inertial.stop
+        rest = self.manifold.jacobian(self.prior_point)[1]
+        return float(np.sum(squares[:links]) + squares[links:] @ rest**2)
 
     @cached_property
     def counts(self) -> FloatArray:

@@ -52,7 +52,7 @@ class ProfileObjective:
     """Half of ``sum_c N_c log S_c``, or for a channel below its floor ``N_c (log F_c + S_c / F_c - 1)`` as of known
     noise; plus the prior's terms, with ``weights (D,)`` of the tangent coordinates to it, equal within a link; plus
     those of ``known`` rows of standard deviation 1, by their products ``(D + 1, D + 1)``
-    (:func:`~geomid_ros.estimation.objective.rows_at`)."""
+    (:func:`~geomid_ros.estimation.objective.products_at`)."""
 
     profile: Profile
     weights: FloatArray

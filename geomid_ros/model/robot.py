@@ -374,18 +374,25 @@ class Robot:
         With ``base``, six rows follow, ``(N, joints + 6, bodies, 10)``: the regressor of the wrench on a floating base,
         in the axes and about the origin of the root link.
         """
+        pairs = self.rows_of_pairs(q, v, a, base=base)
+        regressors = np.zeros((len(q), len(self.joints) + (6 if base else 0), len(self.bodies), 10))
+        rows, bodies = (of_pairs[: len(pairs)] for of_pairs in self._row_body_pairs[:2])
+        regressors[:, rows, bodies] = pairs.transpose(1, 0, 2)
+        return regressors
+
+    def rows_of_pairs(self, q: FloatArray, v: FloatArray, a: FloatArray, *, base: bool = False) -> FloatArray:
+        """Compute the parts ``(pairs, N, 10)`` of :meth:`joint_effort_rows` that are not zero: for each pair of a joint
+        and a body that it moves, in the order of ``np.nonzero(supports)``; then those of the base's rows."""
         # Only pinocchio's call is per sample; looping over the remaining steps would take twice as long.
         full = np.empty((len(q), self._model.nv, 10 * (self._model.njoints - 1)))
         for rows, *state in zip(full, q, v, a, strict=True):
             # For a robot with one joint, pinocchio drops a dimension.
             rows[:] = pin.computeJointTorqueRegressor(self._model, self._data, *state).reshape(rows.shape)
         rows = np.concatenate([self._joint_rows(full), full[:, :6]], axis=1) if base else self._joint_rows(full)
-        regressors = np.zeros((len(q), rows.shape[1], len(self.bodies), 10))
         selected = slice(None if base else np.count_nonzero(self.supports))
-        joints, bodies, moved_by, to_joints = (of_pairs[selected] for of_pairs in self._row_body_pairs)
-        pairs = rows.reshape(len(q), rows.shape[1], -1, 10)[:, joints, moved_by].transpose(1, 0, 2)
-        regressors[:, joints, bodies] = (pairs @ to_joints).transpose(1, 0, 2)
-        return regressors
+        at, _, moved_by, to_joints = (of_pairs[selected] for of_pairs in self._row_body_pairs)
+        pairs = rows.reshape(len(q), rows.shape[1], -1, 10)[:, at, moved_by].transpose(1, 0, 2)
+        return np.asarray(pairs @ to_joints)
 
     @cached_property
     def _row_body_pairs(self) -> tuple[AnyArray, ...]:
