@@ -171,13 +171,14 @@ def evidence(
     nonnegative[:, 1 - FRICTION : -1] = ~np.broadcast_to(either_sign, len(tolerated))[:, None]
     nonnegative[:, -1] = True
     bounded = np.concatenate([np.zeros(rank, dtype=bool), nonnegative.ravel()])
-    fixed = np.zeros(len(precision), dtype=bool)  # coefficients fixed at zero
+    fixed, unknown = np.zeros(len(precision), dtype=bool), np.arange(len(precision))  # none is fixed at zero yet
     sigmas = np.full(len(tolerated), 0.5)
     # If efforts are tiny relative to the links' prediction, sums of squares are rounding errors.
     least = max(LEAST_SIGMA**2, float(np.finfo(float).eps * np.max(sums.targets / counts)))
     for _ in range(ROUNDS):
         total = sums.weighed(sigmas**-2.0)
-        mean, posterior, fixed = _solve_bounded(total[:-1, :-1] + np.diag(precision), total[:-1, -1], bounded, fixed)
+        total[unknown, unknown] += precision
+        mean, posterior, fixed = _solve_bounded(total[:-1, :-1], total[:-1, -1], bounded, fixed)
         squares = np.maximum(sums.squares(np.append(mean, -1.0)), 0.0)
         previous, sigmas = sigmas, np.sqrt(np.maximum(squares / counts, least))
         if np.all(np.abs(np.log(sigmas / previous)) < _SETTLED):

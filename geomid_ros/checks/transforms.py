@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -338,23 +338,30 @@ def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0,
 def _times(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield candidates for stamps that are too fast or too slow, or a robot that is moved by someone else: inertia does
     not fit gravity in the efforts."""
-    yield _at_rate(subject, 0.0, Cause.of("guided", subject.names))
+    least_gain = cache(_gain_without_gravity)
+    yield _at_rate(subject, 0.0, Cause.of("guided", subject.names), least_gain)
     for rate in TIMES:
         speed = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
-        yield _at_rate(subject, rate, Cause.of("time", subject.names, rate=speed, period=f"{1.0 / rate:g} times"))
+        cause = Cause.of("time", subject.names, rate=speed, period=f"{1.0 / rate:g} times")
+        yield _at_rate(subject, rate, cause, least_gain)
 
 
-def _at_rate(subject: EffortData, rate: float, cause: Cause) -> FaultCandidate:
+def _gain_without_gravity(subject: EffortData) -> float:
+    """Gain of log evidence by efforts that are compensated for gravity, zero if there is none."""
+    readings = (_without_gravity(subject), _with_gravity_added(subject))
+    fits = [reading.in_units(subject.measured_std).nominal for reading in readings]
+    return max(0.0, *(fit.log_evidence - subject.nominal.log_evidence for fit in fits))
+
+
+def _at_rate(
+    subject: EffortData, rate: float, cause: Cause, least_gain: Callable[[EffortData], float]
+) -> FaultCandidate:
     same = np.eye(len(subject.robot.joints))
 
     def undo(subject: EffortData) -> Evidence:
         timed = subject.with_samples(_moved(subject.samples, same, rate=rate))
-        judged, *without = (
-            read.in_units(subject.measured_std).nominal
-            for read in (timed, _without_gravity(subject), _with_gravity_added(subject))
-        )
-        beyond = max(one.log_evidence - subject.nominal.log_evidence for one in without)
-        return replace(judged, log_evidence=judged.log_evidence - max(beyond, 0.0))
+        judged = timed.in_units(subject.measured_std).nominal
+        return replace(judged, log_evidence=judged.log_evidence - least_gain(subject))
 
     return FaultCandidate(fit_corrected=undo, cause=cause, changes_all=True)
 
