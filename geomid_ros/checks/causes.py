@@ -55,7 +55,7 @@ _SENTENCES = {
     "unexplained": "efforts of {joints} are inconsistent with the URDF, and no known single cause explains all joints: "
     "check that the recording and the URDF are of the same robot. Closest: {nearest}",
     "unrelated": "the efforts follow neither the gravity nor the motion of this robot: check whether they are "
-    "external or compensated efforts, or the URDF is of another robot",
+    "external or compensated efforts or in another unit (effort_gain, --gain), or the URDF is of another robot",
     "constant": "the effort of {joints} never changes though the joint moves: it is not measured",
     "held": "the effort of joint {joints} is stuck from about {begin} to {end}, while gravity and motion "
     "require a change of {asked:.3g}: it is not measured there; leave that part out",

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
+from numpy.linalg import LinAlgError
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_products import usable
@@ -87,9 +88,19 @@ class EstimationTask:
     prior: FloatArray | None
 
     def solve(self, summary: RowSummary, warm: WarmStart | None) -> Estimate:
-        """Estimate from these rows; without ``warm`` it depends on nothing else."""
-        return estimate(self.model, summary, self.settings, self.prior, warm)
+        """Estimate from these rows; without ``warm`` it depends on nothing else. Raises InputError if it cannot be
+        computed."""
+        try:
+            return estimate(self.model, summary, self.settings, self.prior, warm)
+        except LinAlgError as error:
+            raise InputError(BEYOND_PRECISION) from error
 
+
+BEYOND_PRECISION = (
+    "the efforts are too far from those that any links would need to be computed in double precision: check their unit "
+    "(effort_gain, --gain), and that the recording and the URDF are of the same robot"
+)
+"""Why nothing can be estimated from data that no robot sends."""
 
 Solve: TypeAlias = Callable[[EstimationTask, RowSummary, WarmStart | None], Estimate]
 

@@ -46,7 +46,7 @@ class Point:
 
     @cached_property
     def _decomposed(self) -> tuple[FloatArray, FloatArray]:
-        return np.linalg.eigh(self.pseudo_inertias)
+        return spd.spectrum(self.pseudo_inertias)
 
     @cached_property
     def root(self) -> FloatArray:
@@ -180,7 +180,7 @@ class ParameterManifold:
 
     def _logarithm(self, base: Point, point: Point) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return :meth:`log`, and the eigenvalues ``(links, 4)`` and eigenvectors of the links' logarithms."""
-        ratios, vectors = spd.relative_spectrum(base.inverse_root, point.pseudo_inertias)
+        ratios, vectors = spd.spectrum(spd.congruence(base.inverse_root, point.pseudo_inertias))
         values = np.log(ratios)
         links = spd.to_vector(spd.composed(values, vectors)).ravel()
         positive, real = np.log(point.positives / base.positives), (point.reals - base.reals) / self.scales

@@ -80,26 +80,26 @@ def congruence(factor: FloatArray, matrix: FloatArray) -> FloatArray:
 def transport_factor(base: FloatArray, point: FloatArray) -> FloatArray:
     """Return E ``(..., n, n)`` with ``E base E^T = point``: ``E X E^T`` is X, transported parallel along the geodesic
     between them."""
-    values, vectors = np.linalg.eigh(base)
+    values, vectors = spectrum(base)
     root, inverse = (composed(power, vectors) for power in (np.sqrt(values), 1.0 / np.sqrt(values)))
-    values, vectors = relative_spectrum(inverse, point)
+    values, vectors = spectrum(congruence(inverse, point))
     return np.asarray(root @ composed(np.sqrt(values), vectors) @ inverse)
 
 
-def relative_spectrum(inverse_root: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Eigenvalues ``(..., n)``, ascending, of ``G point G``, G the ``inverse_root`` of a base, and their eigenvectors.
+def spectrum(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues ``(..., n)``, ascending, and eigenvectors of positive definite matrices ``(..., n, n)``.
 
-    They are positive: one that is lost in the rounding of the largest counts as that rounding, so that a link which
-    data made thin beyond double precision has a finite distance.
+    An eigenvalue that is lost in the rounding of the largest counts as that rounding, so that a link which data made
+    thin beyond double precision has a root and finite distances.
     """
-    values, vectors = np.linalg.eigh(congruence(inverse_root, point))
+    values, vectors = np.linalg.eigh(matrix)
     return np.maximum(values, np.finfo(float).eps * values[..., -1:]), vectors
 
 
 def relative_eigenvalues(base: FloatArray, point: FloatArray) -> FloatArray:
     """Eigenvalues of ``base^-1/2 point base^-1/2`` in ascending order, shape ``(..., n)``."""
-    values, vectors = np.linalg.eigh(base)
-    return relative_spectrum(composed(1.0 / np.sqrt(values), vectors), point)[0]
+    values, vectors = spectrum(base)
+    return spectrum(congruence(composed(1.0 / np.sqrt(values), vectors), point))[0]
 
 
 def distance(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.identifier import BEYOND_PRECISION
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.estimate_file import EstimateFile
@@ -118,8 +119,8 @@ def find_gap_in_samples(
     in the recordings that it was identified from: ``known_remainder``.
 
     Raises:
-        InputError: the recordings are too short, without motion or without anything measured, or the robot stands on
-            its legs and the model has effects that depend on loads.
+        InputError: the recordings are too short, without motion or without anything measured, their efforts are none
+            of this robot, or it stands on its legs and the model has effects that depend on loads.
     """
     if session.model.legs and session.loaded.situational_effects:
         raise InputError(
@@ -127,21 +128,24 @@ def find_gap_in_samples(
             "load-dependent effects; leave them out of the model"
         )
     information, deviations = prior_information(session)
-    return find_gap(
-        session.model,
-        recordings.train,
-        recordings.held_out,
-        recordings.cutoff,
-        alike=session.alike_links,
-        nominal=session.prior,
-        deviations=deviations,
-        previous=information,
-        other_effects=session.loaded.situational_effects,
-        known_remainder=known_remainder,
-        shapes=_default_effects(session, recordings) if session.prior is None else {},
-        simulated=recordings.simulated,
-        progress=progress,
-    )
+    try:
+        return find_gap(
+            session.model,
+            recordings.train,
+            recordings.held_out,
+            recordings.cutoff,
+            alike=session.alike_links,
+            nominal=session.prior,
+            deviations=deviations,
+            previous=information,
+            other_effects=session.loaded.situational_effects,
+            known_remainder=known_remainder,
+            shapes=_default_effects(session, recordings) if session.prior is None else {},
+            simulated=recordings.simulated,
+            progress=progress,
+        )
+    except np.linalg.LinAlgError as error:
+        raise InputError(BEYOND_PRECISION) from error
 
 
 def _default_effects(session: Session, recordings: GapSamples) -> Shapes:

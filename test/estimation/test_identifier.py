@@ -107,6 +107,15 @@ def test_nothing_added_is_an_error_that_says_so() -> None:
         fed(silent).solve()
 
 
+def test_efforts_of_no_robot_are_an_error_that_says_what_to_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    monkeypatch.setattr("geomid_ros.estimation.identifier.estimate", fail)
+    with pytest.raises(InputError, match="check their unit"):
+        fed(arm("arm3", 0, seconds=1)).solve()
+
+
 @pytest.mark.parametrize("forgetting_time", [np.inf, 10.0])
 def test_adding_while_another_thread_solves_loses_nothing(forgetting_time: float) -> None:
     case = arm("arm3", 0, seconds=10)
