@@ -45,7 +45,7 @@ for line in sys.stdin:
         if not drawn:
             undrawn(patch)
         result = CliRunner().invoke(root, arguments, catch_exceptions=False)
-    assert result.exit_code == 0 or "(it cannot represent " in result.output, result.output
+    assert result.exit_code == 0 or "the file cannot represent " in result.output, result.output
     print(json.dumps(result.stdout), flush=True)
 """
 Planted = Callable[[FloatArray, FloatArray], FloatArray]

@@ -23,10 +23,10 @@ from geomid_ros.estimation.estimate import STDS_OF_95, EffectEstimate, Estimate,
 from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.exports.handover import DescriptionTest, FileTest
 from geomid_ros.files.disk import staged, write_json, write_text
-from geomid_ros.files.models.effects_file import unrepresentable, write_sidecar
-from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
+from geomid_ros.files.models.effects_file import write_sidecar
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF, with_same_files
+from geomid_ros.files.models.readers import READERS, URDF, with_same_files
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.effects import effect_class
@@ -175,6 +175,7 @@ class Identification:
         """All numbers, as in ``estimate.json``, but without their origin."""
         entries = document(self.session, self.estimate, self.held_out_rms, self.verdict)
         entries["handover"][self.reader] |= self.handover.entry
+        entries["notes"] = self.notes
         if self.tracking is not None:
             entries["handover"][self.reader]["tracking"] = dict(self.tracking.rms)
         model = self.session.model
@@ -208,15 +209,11 @@ class Identification:
         return "held-out data" if self.held_out else "fitted data"
 
     @property
-    def not_written(self) -> str:
-        """Effects and shapes that the description for :attr:`reader` omits, in sentences; empty if there are none."""
-        present = model_effects(self.estimate, self.session.loaded.effects)
-        effects = "; ".join(unrepresentable(present, ELEMENTS[self.reader]))
-        shapes = "; ".join(self.written.missing_shapes)
-        file, fitted = self.written.name, "The file is fitted without them; estimate.json has them."
-        said = [f"Not representable in {file}: {effects}. {fitted}"] if effects else []
-        said += [f"{file} lacks shapes: {shapes} ('geomid export' has --package-path)."] if shapes else []
-        return " ".join(said)
+    def notes(self) -> list[str]:
+        """Remarks that make nothing doubtful, as sentences: on the recordings, and on what the description for
+        :attr:`reader` omits."""
+        shapes = [f"{self.written.name}: {each} ('geomid export' has it)" for each in self.written.missing_shapes]
+        return [*self.session.notes, *filter(None, [self.handover.note]), *shapes]
 
     def __repr__(self) -> str:
         """Reasons for doubt, the state of convergence, and a line for each link."""

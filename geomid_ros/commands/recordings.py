@@ -13,7 +13,6 @@ import click
 import geomid_ros
 from geomid_ros.api.options import FleetOptions, GapOptions, IdentifyOptions
 from geomid_ros.commands.options import OUT, PATH, options_of, report_option
-from geomid_ros.errors import one_line
 
 
 @click.command()
@@ -42,8 +41,6 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     else:
         show_identification(result)
         print_written(files, out, report=report)
-        if result.not_written:
-            click.echo(one_line(result.not_written))
     sys.exit(result.verdict.status)
 
 

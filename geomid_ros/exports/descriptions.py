@@ -30,7 +30,7 @@ from geomid_ros.exports.formats import Export
 from geomid_ros.exports.model import ExportModel, payload_link
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import joint_attributes, of_followers, tilted_gravity, unrepresentable
-from geomid_ros.files.models.mjcf import mjcf, mjcf_shapes, with_identified
+from geomid_ros.files.models.mjcf import Shapes, mjcf, mjcf_shapes, with_identified
 from geomid_ros.files.models.readers import ELEMENTS, EXISTING_MJCF
 from geomid_ros.files.models.urdf import for_drake, for_gazebo, joint_frames, with_effects
 from geomid_ros.geometry import pseudo_inertia
@@ -65,8 +65,6 @@ _MUJOCO_NOTE = (
     '<compiler inertiafromgeom="true"/> would override the inertials; the default, "auto", does not.',
     "Shapes of the robot do not collide with one another (conaffinity): a URDF does not say which may.",
 )
-
-_MOST_MISSING = 3  # sentences on missing shapes; the others are counted
 
 
 class DescriptionFiles(NamedTuple):
@@ -146,16 +144,18 @@ def _drake(robot: RobotToDescribe) -> DescriptionFiles:
 
 def _mujoco(robot: RobotToDescribe) -> DescriptionFiles:
     shapes = mjcf_shapes(robot.urdf, robot.path, robot.packages)
-    missing = [f"{reason} ({_shapes_of(links)})" for reason, links in shapes.missing.items()]
-    rest = sum(map(len, list(shapes.missing.values())[_MOST_MISSING:]))
-    summary = [f"{rest} more shapes are missing"] if rest else []
     text = mjcf(robot.read(), {}, robot.effects, gravity=robot.gravity, shapes=shapes)
-    return DescriptionFiles(text, [*missing[:_MOST_MISSING], *summary])
+    return DescriptionFiles(text, _missing(shapes))
 
 
-def _shapes_of(links: Sequence[str]) -> str:
-    """Count shapes by the link of each."""
-    return f"{len(links)} shapes, the first of link '{links[0]}'" if len(links) > 1 else f"link '{links[0]}'"
+def _missing(shapes: Shapes) -> list[str]:
+    """Sentence on the shapes that are missing, with the first reason; none if there are none. Most have one reason, and
+    each mesh its own words for it."""
+    count = sum(map(len, shapes.missing.values()))
+    return [
+        f"{count} shape{'s' * (count > 1)} missing, the first of link '{links[0]}': {reason}"
+        for reason, links in [*shapes.missing.items()][:1]
+    ]
 
 
 def as_described(model: ExportModel, packages: Mapping[str, Path] = MappingProxyType({})) -> RobotToDescribe:

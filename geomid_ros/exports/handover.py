@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
@@ -18,11 +18,11 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, RobotToDescribe
 from geomid_ros.files.models.effects_file import coefficients_of, unrepresentable
 from geomid_ros.files.models.estimate_file import model_effects
-from geomid_ros.files.models.readers import ELEMENTS, MUJOCO, URDF
+from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, MUJOCO, URDF
 from geomid_ros.files.models.written_model import WrittenModel, written_model
 from geomid_ros.files.schema import attributes_entry
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS, Effect, MotionEffect, Place, effect_class
+from geomid_ros.model.effects import EFFECTS, Effect, KnownEffect, MotionEffect, Place, effect_class
 from geomid_ros.model.effects.situation import pair_name, place_named
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -191,18 +191,22 @@ class DescriptionTest:
     def evaluate(self, batches: Sequence[Samples], full_rms: Mapping[str, float]) -> FileTest:
         """Test the file on samples. ``full_rms``: residual RMS of the full estimate on them, by channel. Raises
         InputError if MuJoCo or pinocchio rejects it."""
-        model, effects = self.session.model, model_effects(self.estimate, self.session.loaded.effects)
-        lacks = {
-            channel.name: unrepresentable(
-                [own for own in effects if channel.name in own.joint.split("+")], ELEMENTS[self.reader]
-            )
-            for channel in model.channels
-        }
+        model = self.session.model
         of_sensors = [effect for effect in self.model.effects if effect_class(effect.effect).is_sensor_error]
         errors = np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
-        return evaluate_description(
-            self.session, self.reader, self._whole, batches, full_rms, errors=errors, omitted_effects=lacks
+        effects = model_effects(self.estimate, self.session.loaded.effects)
+        lacking = {reader: _omitted(effects, reader) for reader in DESCRIBED_FOR}
+        fewest = min(lacking.values())
+        return replace(
+            evaluate_description(self.session, self.reader, self._whole, batches, full_rms, errors=errors),
+            omissions=tuple(unrepresentable(effects, ELEMENTS[self.reader])),
+            fuller=tuple(reader for reader, count in lacking.items() if fewest == count < lacking[self.reader]),
         )
+
+
+def _omitted(effects: Sequence[KnownEffect], reader: str) -> int:
+    """Count the effects that a reader's format cannot represent."""
+    return sum(bool(unrepresentable([effect], ELEMENTS[reader])) for effect in effects)
 
 
 def file_name(reader: str) -> str:
@@ -222,8 +226,8 @@ class FileTest:
         corrected: of the file, with the sensor errors from the files beside it.
         given: of the given description.
         full_rms: of the full estimate, including effects that the file cannot represent.
-        omitted_effects: effects of the estimate that the file cannot represent, in words; not of channels where this is
-            unknown.
+        omissions: effects of the estimate that the file cannot represent, in words, if that is known.
+        fuller: readers of the formats that can represent most of them, if these can represent more.
     """
 
     name: str
@@ -232,7 +236,8 @@ class FileTest:
     corrected: Mapping[str, float]
     given: Mapping[str, float]
     full_rms: Mapping[str, float]
-    omitted_effects: Mapping[str, Sequence[str]]
+    omissions: Sequence[str] = ()
+    fuller: Sequence[str] = ()
 
     @property
     def sentence(self) -> str:
@@ -242,46 +247,62 @@ class FileTest:
 
     @property
     def worse(self) -> list[str]:
-        """Sentences on the channels that the file predicts worse than the given description, where the corrected file
-        and the full estimate do, too."""
-        return [sentence for sentence, as_estimate in self._remarks if as_estimate]
+        """Sentence on the channels that the file predicts worse than the given description, where the corrected file
+        and the full estimate do, too; none without such channels."""
+        names = self._degraded[_FIT]
+        return [f"{self._worse_at(names)}, and by the full estimate, too: {_RECORD}"] if names else []
 
     @property
     def limited(self) -> list[str]:
-        """Sentences on what the file lacks: that it lost most of what the estimate gained, and on the other worse
-        channels, which the corrected file or the full estimate predicts better: the sensor errors are beside the file,
-        or it cannot represent some effects."""
-        return [sentence for sentence, as_estimate in self._remarks if not as_estimate]
+        """Sentences on what the file lacks: effects, if it lost most of what the estimate gained or if channels are
+        worse that the estimate predicts better; and sensor errors, which are beside the file."""
+        lost, offsets = self._lost, self._degraded[_OFFSETS]
+        return [
+            *([f"{lost}: {self._lacks}; {self._advice}"] if lost else []),
+            *([f"{self._worse_at(offsets)}, but not with {_ADD}"] if offsets else []),
+        ]
 
     @property
-    def _remarks(self) -> Iterator[tuple[str, bool]]:
-        """Yield a sentence if the file with the sensor errors is nearer to the given description than to the estimate,
-        by the ratios of their RMS; and one for each worse channel. True if the corrected file and the full estimate are
-        worse there, too."""
+    def note(self) -> str:
+        """Sentence on the effects that the file lacks; empty if it lacks none, or if :attr:`limited` has it."""
+        return f"{self.name}: {self._lacks}; estimate.json has them" if self.omissions and not self._lost else ""
+
+    @property
+    def _lost(self) -> str:
+        """Clause on what the file predicts less well than the estimate, for what it cannot represent: with the sensor
+        errors it is nearer to the given description, by the ratios of their RMS; or channels are worse than by that."""
         kinds = self.corrected, self.full_rms, self.given
         file, estimate, given = (float(np.nansum(list(kind.values()))) for kind in kinds)
+        worse = self._worse_at(self._degraded[_FORMAT]) if self._degraded[_FORMAT] else ""
         if estimate < given and file**2 > estimate * given:
-            sentence = (
-                f"{self.name} predicts less well than the estimate that it is from: RMS {file:.3g}, estimate "
-                f"{estimate:.3g}, given {given:.3g} (summed over the channels); it cannot represent all effects; "
-                "choose another format (--for), or use estimate.json"
-            )
-            yield sentence, False
+            left = f"{self.name} leaves {100 * file / given:.0f} % of the given description's error, the estimate "
+            return f"{left}{100 * estimate / given:.0f} %{'; ' * bool(worse)}{worse}"
+        return worse
+
+    @property
+    def _lacks(self) -> str:
+        return f"the file cannot represent {', '.join(self.omissions) or 'all that was found'}"
+
+    @property
+    def _advice(self) -> str:
+        """Advice against a format that lacks effects."""
+        return f"--for {' or '.join(self.fuller)} holds more of them" if self.fuller else _NO_FORMAT
+
+    @property
+    def _degraded(self) -> dict[str, list[str]]:
+        """Channels that the file predicts worse than the given description, by the reason."""
+        channels: dict[str, list[str]] = {_OFFSETS: [], _FIT: [], _FORMAT: []}
         for name, rms in self.alone.items():
-            limit, corrected = WORSE * self.given[name], self.corrected[name]
-            if not rms > limit:
-                continue
-            sentence = (
-                f"'{name}' is predicted worse by {self.name} than by the given description: RMS {rms:.3g} "
-                f"instead of {self.given[name]:.3g}"
-            )
-            if not corrected > limit:
-                yield f"{sentence}, {corrected:.3g} with the errors of sensors in effects.yaml; {_ADD}", False
-            elif self.full_rms[name] > limit:
-                yield f"{sentence}; {_RECORD}", True
-            else:
-                lacks = "; ".join(self.omitted_effects.get(name, ()))
-                yield f"{sentence}{f' (it cannot represent {lacks})' if lacks else ''}; {_ADVICE}", False
+            limit = WORSE * self.given[name]
+            if rms > limit:
+                estimate = _FIT if self.full_rms[name] > limit else _FORMAT
+                channels[estimate if self.corrected[name] > limit else _OFFSETS].append(name)
+        return channels
+
+    def _worse_at(self, names: Sequence[str]) -> str:
+        """Clause on the ``names`` of channels that the file predicts worse than the given description."""
+        numbers = (f"'{name}' (RMS {self.alone[name]:.3g} instead of {self.given[name]:.3g})" for name in names)
+        return f"{self.name} predicts {', '.join(numbers)} worse than the given description"
 
     @property
     def entry(self) -> dict[str, object]:
@@ -289,12 +310,16 @@ class FileTest:
         return {"file": self.name, "loaded_by": self.program, **attributes_entry(self, "alone", "corrected", "given")}
 
 
+_OFFSETS, _FIT, _FORMAT = "offsets", "fit", "format"
 _RECORD = (
-    "so does the full estimate: the fit does not generalise to this motion. Record more motion there, in more "
-    "poses, and check that there was no payload or undeclared contact"
+    "the fit does not generalise to this motion. Record more motion there, in more poses, and check that there was no "
+    "payload or undeclared contact"
 )
-_ADD = "add these to its predictions, or record more motion: they may be due to masses instead"
-_ADVICE = "choose another format (--for), or record more motion there"
+_ADD = (
+    "the sensor errors of effects.yaml: add these to its predictions, or record more motion, as they may be due to "
+    "masses instead"
+)
+_NO_FORMAT = "no format holds more of them; where they matter, use estimate.json"
 
 
 def evaluate_description(
@@ -304,7 +329,6 @@ def evaluate_description(
     batches: Sequence[Samples],
     full_rms: Mapping[str, float],
     errors: FloatArray | float = 0.0,
-    omitted_effects: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> FileTest:
     """Test a description on samples, loaded by MuJoCo if it is an MJCF, else by pinocchio.
 
@@ -315,7 +339,6 @@ def evaluate_description(
         batches: samples to test on.
         full_rms: residual RMS of the full estimate on them, by channel.
         errors: parameters ``(D,)`` of the sensor errors in files beside it.
-        omitted_effects: effects of the estimate that the description cannot represent, by channel.
 
     Raises:
         InputError: MuJoCo or pinocchio rejects the description.
@@ -342,5 +365,4 @@ def evaluate_description(
         corrected=corrected,
         given=before,
         full_rms=full_rms,
-        omitted_effects=omitted_effects,
     )

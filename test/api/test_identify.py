@@ -103,7 +103,9 @@ def test_shapes_are_found_from_any_folder_or_missed_in_words(tmp_path: Path) -> 
     urdf.write_text(URDF.read_text().replace("</link>", shapes, 1))
     found = geomid_ros.identify(BAG, urdf, reader="mujoco")
     found.save(tmp_path / "elsewhere" / "out", report=False)
-    assert "identified.xml lacks shapes: the mesh 'package://none/gone.stl' was not found" in found.not_written
+    (said,) = [note for note in found.document["notes"] if " missing, " in note]
+    missing = "identified.xml: 1 shape missing, the first of link 'base_link': the mesh 'package://none/gone.stl'"
+    assert said.startswith(missing)
     exported = geomid_ros.export(tmp_path / "elsewhere" / "out" / "estimate.json", "mujoco")
     for text in (found.written.files["identified.xml"], exported.text):
         (file,) = [mesh.get("file", "") for mesh in ElementTree.fromstring(text).iter("mesh")]

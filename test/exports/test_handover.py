@@ -158,34 +158,39 @@ def test_a_number_that_is_wrong_in_the_file_shows() -> None:
 def judged_file(found: float) -> FileTest:
     """Of channel a worse than what it is from, of b as good; ``found``: of all that was found, at a."""
     alone, corrected, given = {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}
-    lacks = {"a": ("spring of a",), "b": ()}
     everything = {"a": found, "b": 1.0}
-    return FileTest(
-        "f.urdf", "pinocchio", alone=alone, corrected=corrected, given=given, full_rms=everything, omitted_effects=lacks
-    )
+    files = {"alone": alone, "corrected": corrected, "given": given}
+    return FileTest("f.urdf", "pinocchio", **files, full_rms=everything, omissions=("spring of a",), fuller=("mujoco",))
 
 
 def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel() -> None:
     judged = judged_file(found=1.1)
     (sentence,) = judged.worse
     assert not judged.limited
-    assert sentence.startswith("'a' is predicted worse by f.urdf than by the given description: RMS 2 ")
-    assert "so does the full estimate" in sentence
-    assert "cannot hold" not in sentence, "another format has the same"
+    assert sentence.startswith("f.urdf predicts 'a' (RMS 2 instead of 1) worse than the given description")
+    assert "by the full estimate, too" in sentence
+    assert "cannot represent" not in sentence, "another format has the same"
     offsets = replace(judged_file(found=1.1), corrected={"a": 0.9, "b": 1.0})
     assert not offsets.worse, "an error of a sensor is no part of the robot"
     (sentence,) = offsets.limited
-    assert "RMS 2 instead of 1, 0.9 with the errors of sensors in effects.yaml" in sentence
-    assert "another format" not in sentence, "no description holds them"
+    assert "(RMS 2 instead of 1) worse than the given description, but not with the sensor errors" in sentence
+    assert "--for" not in sentence, "no description holds them"
 
 
 def test_what_a_file_cannot_say_casts_no_doubt_on_a_result_that_predicts_better() -> None:
-    """It is told, as the file's user has to know it."""
+    """It is told once, as the file's user has to know it: as a warning if it matters, else as a note."""
     limited = judged_file(found=0.9)
     assert not limited.worse
-    lost, sentence = limited.limited
-    assert "RMS 2 instead of 1 (it cannot represent spring of a)" in sentence
-    assert "f.urdf predicts less well than the estimate that it is from: RMS 2.2, estimate 1.9, given 2 " in lost
+    assert not limited.note
+    (lost,) = limited.limited
+    assert lost == (
+        "f.urdf leaves 110 % of the given description's error, the estimate 95 %; f.urdf predicts 'a' (RMS 2 instead "
+        "of 1) worse than the given description: the file cannot represent spring of a; --for mujoco holds more of them"
+    )
+    harmless = replace(limited, alone=limited.full_rms, corrected=limited.full_rms)
+    assert not harmless.limited
+    assert harmless.note == "f.urdf: the file cannot represent spring of a; estimate.json has them"
+    assert "no format holds more" in replace(limited, fuller=()).limited[0]
 
 
 @pytest.mark.parametrize(("rms", "tells"), [(1.9, False), (2.1, True)])
@@ -193,7 +198,7 @@ def test_a_file_that_loses_most_of_what_the_estimate_gained_says_so(rms: float, 
     """Though it is better than what it is from at every channel: RMS 4 there, 1 of the estimate."""
     one = {"a": 1.0, "b": math.nan}
     given, file = ({name: factor * value for name, value in one.items()} for factor in (4.0, rms))
-    judged = FileTest("f.urdf", "pinocchio", alone=file, corrected=file, given=given, full_rms=one, omitted_effects={})
+    judged = FileTest("f.urdf", "pinocchio", alone=file, corrected=file, given=given, full_rms=one)
     assert bool(judged.limited) == tells
 
 

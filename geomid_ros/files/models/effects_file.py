@@ -124,7 +124,8 @@ def of_followers(
 
 
 def unrepresentable(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
-    """Effects in words that ``files`` (see :meth:`~geomid_ros.model.effects.ParameterForm.said_by`) cannot represent.
+    """Effects in words that ``files`` (see :meth:`~geomid_ros.model.effects.ParameterForm.said_by`) cannot represent,
+    with their place, or the number of places.
 
     Sensor errors are ignored, as they are not part of a robot.
     """
@@ -139,7 +140,12 @@ def unrepresentable(effects: Iterable[KnownEffect], files: Iterable[str]) -> lis
             name = cls.label if cls.label[0].isupper() else effect.effect.replace("_", " ")
             phrase = name + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
             places_of.setdefault(phrase, []).append(effect.link or effect.joint)
-    return [phrase + (f" of {', '.join(places)}" if any(places) else "") for phrase, places in places_of.items()]
+    return [f"{phrase}{_at(places)}" for phrase, places in places_of.items()]
+
+
+def _at(places: Sequence[str]) -> str:
+    """Name one place, or count several."""
+    return f" at {len(places)} places" if len(places) > 1 else f" of {places[0]}" if any(places) else ""
 
 
 def payload_parameters(payload: Mapping[str, float]) -> FloatArray:
