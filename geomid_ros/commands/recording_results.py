@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ from geomid_ros.commands.terminal import (
     results_console,
     say,
 )
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.estimate import EffectEstimate, LinkEstimate, WeighedEstimate
 from geomid_ros.exports.handover import FileTest
 from geomid_ros.files.models.effects_file import is_coefficient
 from geomid_ros.files.models.estimate_file import EstimateFile
@@ -35,12 +36,13 @@ if TYPE_CHECKING:
     from geomid_ros.resimulation.resimulate import Tracking
 
 
-def _print_messages(console: Console, topics: Mapping[str, Account]) -> None:
-    """Print for each topic how many messages were used, and why others were not."""
+def _print_messages(console: Console, topics: Mapping[str, Account], said: Collection[str]) -> None:
+    """Print for each topic how many messages were used, why others were not, and remarks that are not yet ``said``."""
     for topic, account in topics.items():
         refused = account.rejected + account.dropped
         reasons = "".join(f"; {count} {reason}" for reason, count in refused.most_common())
-        noted = "".join(f"; noted: {remark} ({count})" for remark, count in account.noted.most_common())
+        remarks = [(text, count) for text, count in account.noted.most_common() if f"{topic}: {text}" not in said]
+        noted = "".join(f"; noted: {text} ({count})" for text, count in remarks)
         say(console, "", f"{topic}: {account.accepted} of {account.received} messages used{reasons}{noted}")
 
 
@@ -49,13 +51,13 @@ def show_identification(found: geomid_ros.Identification) -> None:
     console, file = results_console(), EstimateFile.of(found.document, "estimate.json")
     links = file.link_estimates
     state = "converged" if file.converged else f"NOT converged ({file.reason})"
+    if file.judgement.word == USABLE:
+        say(console, USABLE.upper(), f"  {' '.join(result_pages.uses(file))}")
     print_verdict(console, file.judgement, file.warnings, file.notes)
-    _print_messages(console, file.messages)
+    _print_messages(console, file.messages, {*file.judgement.reasons, *file.warnings, *file.notes})
     console.print(f"{file.rows.accepted} rows, {state} in {file.seconds:.1f} s, prior weight {file.gamma:.1e}")
     console.print("In the tables ± is one standard deviation.")
     console.print(_links_table(file, links))
-    if file.judgement.word == USABLE:
-        say(console, "", " ".join(result_pages.identified(links)))
     if file.known:
         console.print(_known_table(file.known))
     of_joints = _at_every_joint(file.effect_estimates)
@@ -89,8 +91,7 @@ def _links_table(file: EstimateFile, links: Sequence[LinkEstimate]) -> Table:
         masses = f"{file.urdf_masses[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
         com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
         shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
-        unidentified = [name for name in QUANTITIES if name not in link.identified]
-        table.add_row(names, *masses, com, *shares, result_pages.cannot_tell(unidentified))
+        table.add_row(names, *masses, com, *shares, result_pages.not_identified(link))
     return table
 
 
@@ -125,16 +126,20 @@ def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
 
 
 def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
-    """Table of joint effects. A cell is empty if the joint has no such effect, or has it with the default constant."""
+    """Table of joint effects. A cell is empty if the joint has no such effect, or has it with the default constant.
+    Values that are not from the data are marked."""
     joints = list(dict.fromkeys(effect.joint for effect in effects))
     columns: dict[str, dict[str, str]] = {}
     for effect in effects:
         (_, size), *constants = effect.parameters.items()
         first, _, second = effect.name.partition("_")
-        columns.setdefault(f"{first}\n{second}\n[{size.unit}]", {})[effect.joint] = f"{size.value:.3g} ± {size.std:.1g}"
+        cells = columns.setdefault(f"{first}\n{second}\n[{size.unit}]", {})
+        weak = "*" * (effect.from_data < result_pages.WEAK)
+        cells[effect.joint] = f"{gap_words.measured(replace(size, unit='')).rstrip()}{weak}"
         for name, constant in constants:
             columns.setdefault(f"{first}\n{name}\n[{constant.unit}]", {})[effect.joint] = f"{constant.value:g}"
-    table = plain_table("Joint effects", ["joint"], list(columns))
+    title = f"Joint effects{' (*: mostly from the prior)' * any(e.from_data < result_pages.WEAK for e in effects)}"
+    table = plain_table(title, ["joint"], list(columns))
     for joint in joints:
         table.add_row(joint, *(cells.get(joint, "") for cells in columns.values()))
     return table
@@ -142,12 +147,11 @@ def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
 
 def _errors_table(file: EstimateFile) -> Table:
     """Table of residual RMS per channel: URDF, estimate, written file alone, and file with sensor offsets."""
-    headings = ["unit", "URDF", "identified", "explained", f"{file.description}\nalone", "with sensor\noffsets"]
+    headings = ["unit", "URDF", "identified", "remains", f"{file.description}\nalone", "with sensor\noffsets"]
     table = plain_table(f"RMS of the residual on {file.judged_on}", ["channel"], headings)
     for row in file.channels:
-        share = f"{100.0 * (1.0 - row.ratio):.0f} %" if math.isfinite(row.ratio) else ""
         errors = [f"{error:.3g}" for error in (row.urdf, row.identified, row.file, row.file_with_offsets)]
-        table.add_row(row.channel, row.unit, *errors[:2], share, *errors[2:])
+        table.add_row(row.channel, row.unit, *errors[:2], gap_words.percent(row.ratio), *errors[2:])
     return table
 
 

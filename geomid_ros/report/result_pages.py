@@ -4,7 +4,7 @@ two results of one robot side by side; ``fleet.html``, many robots."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -167,7 +167,7 @@ def write_identification_page(path: Path, file: EstimateFile, series: Sequence[S
         "kinds": _KINDS,
         "shares": {(effect.name, effect.joint): effect.from_data for effect in effects},
         "open": [link for link in links if link.cannot_tell or link.outlier],
-        "cannot_tell": cannot_tell,
+        "not_identified": not_identified,
         "telling": {name: suggested_motions(motions) for name, motions in file.telling.items()},
         "weak": [(effect, effect_class(effect.name).settled_by) for effect in effects if effect.from_data < WEAK],
         "traces": traces(series),
@@ -202,17 +202,22 @@ def uses(file: EstimateFile) -> list[str]:
 
 
 def _predictions(file: EstimateFile) -> list[str]:
-    ratios = [row.ratio for row in file.channels if math.isfinite(row.ratio)]
-    if not ratios:
+    rows = [row for row in file.channels if math.isfinite(row.ratio)]
+    if not rows:
         return []
-    better = [ratio for ratio in ratios if ratio < 1.0]
-    span = f"; {100 * min(better):.0f} to {100 * max(better):.0f} % of its error remain" if better else ""
+    alone = _span(row.file / row.urdf for row in rows)
     sentence = (
-        f"Usable to predict efforts and wrenches in similar motions (simulation, feed-forward, contacts). On "
-        f"{file.judged_on}, {len(better)} of {len(ratios)} channels are predicted better than by the URDF{span}."
+        f"Predicts efforts and wrenches of similar motions: on {file.judged_on}, {_span(row.ratio for row in rows)} of "
+        f"the URDF's errors remain{f', in {file.description} alone {alone}' if alone else ''}."
     )
     judge = "No data were held out, so this is not a test on new data: give another recording with --validate."
     return [sentence, judge] if file.rms.held_out is None else [sentence]
+
+
+def _span(ratios: Iterable[float]) -> str:
+    """Range of ratios in percent; empty without any."""
+    known = sorted(100.0 * ratio for ratio in ratios if math.isfinite(ratio))
+    return f"{known[0]:.0f} to {known[-1]:.0f} %" if known else ""
 
 
 def identified(links: Sequence[LinkEstimate]) -> list[str]:
@@ -233,6 +238,11 @@ def identified(links: Sequence[LinkEstimate]) -> list[str]:
 
 def _of_axes(link: LinkEstimate) -> str:
     return link.name if len(link.moments) == len("xyz") else f"{link.name} ({', '.join(link.moments)})"
+
+
+def not_identified(link: LinkEstimate) -> str:
+    """List the quantities of a link that are not identified."""
+    return cannot_tell([name for name in QUANTITIES if name not in link.identified])
 
 
 def cannot_tell(quantities: Sequence[str]) -> str:
@@ -259,6 +269,5 @@ def suggested_motions(motions: Mapping[str, Sequence[str]]) -> list[str]:
     sentences = [f"{grouped(quantities)}: {motion}" for motion, quantities in motions.items() if motion]
     rest = motions.get("", ())
     if rest:
-        weigh = "; a weighed mass (--known) identifies the mass" if "mass" in rest else ""
-        sentences.append(f"{grouped(rest)}: none of the simulated motions{weigh}")
+        sentences.append(f"{grouped(rest)}: none of the simulated motions")
     return sentences
