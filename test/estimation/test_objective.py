@@ -10,7 +10,7 @@ from geometry import bodies
 from scipy.linalg import eigvalsh, expm, sqrtm
 from scipy.optimize import minimize
 
-from geomid_ros.estimation.objective import Objective, row_weights
+from geomid_ros.estimation.objective import Objective, products_at, row_weights
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
@@ -177,3 +177,17 @@ def test_rows_without_a_root_are_set_aside_and_count_nothing() -> None:
     one, other = objective.evaluate(case.truth), rest.geodesic(GAMMA).evaluate(case.truth)
     assert one.value == pytest.approx(other.value, rel=ROUNDING)
     np.testing.assert_allclose(one.hessian, other.hessian, rtol=0, atol=ROUNDING * objective.scale)
+
+
+def test_products_of_rows_of_few_links_are_those_of_all_columns() -> None:
+    """Also their weights (Remark 2) follow from the products."""
+    given = problem(3, ParameterManifold(4, 2, np.array([0.1, 20.0])), count=40)
+    manifold, prior, rows = given.manifold, given.prior, given.rows.copy()
+    for link in range(4):  # rows of one link, of two, and of all
+        rows[5 * link : 5 * link + 5 + 5 * link, manifold.link(link)] = 0.0
+    off = rows @ prior.parameters - given.targets
+    dense = np.column_stack([manifold.offset_rows(prior, rows), off])
+    products = products_at(manifold, prior, rows, given.targets)
+    assert np.allclose(products, dense.T @ dense, rtol=0.0, atol=ROUNDING * np.max(np.abs(dense)) ** 2)
+    scales = np.append(np.ones(manifold.inertial.stop), manifold.jacobian(prior)[1])
+    assert np.isclose(np.diag(products)[:-1] @ scales**2, np.sum(row_weights(manifold, prior, rows)), rtol=ROUNDING)
