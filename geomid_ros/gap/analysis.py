@@ -310,7 +310,10 @@ def _flexible_noise(
     noise_residual = np.full(residual.shape, np.nan)
     for channel in range(residual.shape[1]):
         chosen = valid[:, channel]
-        own_columns = [by[channel] for by in columns.values() if channel in by]
+        joint = problem.model.channels[channel].joint
+        own_columns = [
+            by[channel] for term, by in columns.items() if channel in by and (joint in term.joints or not term.joints)
+        ]
         matrix = np.column_stack(own_columns)[chosen] if own_columns else np.zeros((np.count_nonzero(chosen), 0))
         matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
         directions, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
