@@ -260,9 +260,10 @@ def read_user_mjcf(model: ExportModel, path: Path) -> UserMjcf:
     merged = [link for name in bodies for link in model.bodies[name].merged if link not in model.bodies]
     emptied = [link for link in merged if compiled.moving.get(link)]
     target = UserMjcf(path, text, placed, compiled.attributes, emptied=emptied)
-    springs = [name for name, values in joint_attributes(model.effects, "joint").items() if "springref" in values]
-    ones = compile_mjcf(path, target.patched({}, {name: {"springref": 1.0} for name in springs})).attributes
-    return replace(target, in_degrees=[name for name in springs if name in ones and ones[name]["springref"] != 1.0])
+    angles = {"springref", "ref"}
+    turned = [name for name, values in joint_attributes(model.effects, "joint").items() if angles & values.keys()]
+    ones = compile_mjcf(path, target.patched({}, {name: {"springref": 1.0} for name in turned})).attributes
+    return replace(target, in_degrees=[name for name in turned if name in ones and ones[name]["springref"] != 1.0])
 
 
 _NOT_THE_MODELS = "as MuJoCo compiles the written file, it differs from the model:"

@@ -377,7 +377,7 @@ def with_identified(
     edits += [insertion(data, places[name], _NOTHING) for name in emptied]
     for name, numbers in joints.items():
         start, end = tags[name].tag
-        turns = {"springref": 180.0 / np.pi} if name in in_degrees else {}
+        turns = dict.fromkeys(("springref", "ref"), 180.0 / np.pi) if name in in_degrees else {}
         words = {key: repr(float(value * turns.get(key, 1.0))) for key, value in sorted(numbers.items())}
         edits.append((start, end, with_attributes(data[start:end], words)))
     return edited(data, edits).decode()

@@ -64,6 +64,7 @@ _FIRST = (
     *("payload", "wrench_offset", "imu_offset", "command_delay"),
     *("saturating_friction", "quadratic_friction", "presliding", "coupled_viscous_friction"),
     *("coupled_coulomb_friction", "coupled_rotor_inertia"),
+    "encoder_offset",
 )
 """Order in which effects are tried: these first, then all others."""
 

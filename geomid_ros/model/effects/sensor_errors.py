@@ -112,6 +112,22 @@ class EffortDelay(SituationEffect):
         return values["delay"]
 
 
+class EncoderOffset(SituationEffect):
+    """An encoder's zero is off: the link lags the measured position by a constant c [rad]."""
+
+    name = "encoder_offset"
+    label = "an offset of the encoder"
+    meaning = "link position = measured position - offset"
+    parameters = (ParameterForm("offset", ("rad", "m"), mjcf="joint/ref"),)
+    settled_by = "a reference pose, in which the joint's position is known"
+    confusable_with_payload = True
+    default_prior_std = (0.02,)  # [rad] about a degree
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        moved = np.ones(len(situation.load))
+        return situation.lag_column(joint_of(place), moved, 0.0 * moved, 0.0 * moved)
+
+
 class WrenchOffset(SensorEffect):
     """A constant error of a wrench sensor: one coefficient for each of its axes."""
 
