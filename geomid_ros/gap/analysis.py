@@ -301,7 +301,8 @@ def _same(previous: EffectsFit | None, current: EffectsFit) -> bool:
 def _flexible_noise(
     problem: LinearisedProblem, columns: Columns, bare: EffectsFit, valid: BoolArray
 ) -> tuple[Autoregression, ...]:
-    """Initial noise: the part of the residual outside the span of each channel's columns.
+    """Initial noise: the part of the residual outside the span of the columns of each channel's own joint and of the
+    whole robot.
 
     Only as many of their directions are used as the rows can determine: with as few rows as directions, only rounding
     errors would remain, and noise estimated from these.

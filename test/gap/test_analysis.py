@@ -52,11 +52,13 @@ class TestFirstNoise:
         left = noise + own * own_column + others * alien + free * smooth
         columns = {
             TERM: {0: own_column},
-            OTHER.terms[0]: {1: alien},
+            OTHER.terms[0]: {0: alien, 1: alien},
         }
         residual = np.column_stack([left, np.zeros(self.COUNT)])
         problem: Any = SimpleNamespace(
-            residual=lambda *_: residual, records=SimpleNamespace(segment=np.zeros(self.COUNT, dtype=int))
+            residual=lambda *_: residual,
+            records=SimpleNamespace(segment=np.zeros(self.COUNT, dtype=int)),
+            model=SimpleNamespace(channels=[SimpleNamespace(joint=TERM.joints[0]), SimpleNamespace(joint=1)]),
         )
         valid = np.ones((self.COUNT, 2), dtype=bool)
         valid[self.COUNT // 2] = False
@@ -82,10 +84,14 @@ def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there
     for row in range(rows):
         noise[row] = 0.8 * noise[row - 1] + shocks[row]
     problem: Any = SimpleNamespace(
-        residual=lambda *_: noise, records=SimpleNamespace(segment=np.zeros(rows, dtype=np.int64))
+        residual=lambda *_: noise,
+        records=SimpleNamespace(segment=np.zeros(rows, dtype=np.int64)),
+        model=SimpleNamespace(channels=[SimpleNamespace(joint=channel) for channel in range(channels)]),
     )
+    columns = rng.standard_normal((100, rows))
     everywhere: Any = {
-        term: dict.fromkeys(range(channels), column) for term, column in enumerate(rng.standard_normal((100, rows)))
+        replace(TERM, place=OnRobot(), index=index): dict.fromkeys(range(channels), column)
+        for index, column in enumerate(columns)
     }
     bare: Any = None
     found = analysis._flexible_noise(problem, everywhere, bare, np.ones(noise.shape, dtype=bool))

@@ -11,7 +11,7 @@ from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import JointElasticity
 from geomid_ros.model.effects.friction import LoadFriction
 from geomid_ros.model.effects.mounting import GravityTilt
-from geomid_ros.model.effects.sensor_errors import EffortGain
+from geomid_ros.model.effects.sensor_errors import EffortGain, EncoderOffset
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -42,6 +42,16 @@ def test_turned_gravity_is_that_of_the_turned_base() -> None:
     expected = pin.exp3(np.array([0.7, -0.4, 0.0])).T @ gravity
     found = GravityTilt.tilted_gravity(gravity, {"tilt_x": 0.7, "tilt_y": -0.4})
     np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_encoder_offset(problem: LinearisedProblem) -> None:
+    """The link is behind the measured position by the offset, at every instant."""
+    offset, exact = 1e-6, planted.motion(5, 40.0)[1:]
+    moved = [part.copy() for part in exact]
+    moved[0][:, JOINT] -= offset
+    dynamics, (chosen,) = planted.rigid(problem.total.inertias), problem.records.chosen
+    expected = (dynamics(*moved) - dynamics(*exact))[chosen] / offset
+    agree(EncoderOffset().columns(problem.situation, AtJoint(JOINT))[20:-20, :, 0], expected[20:-20], 0.05)
 
 
 def test_elasticity(problem: LinearisedProblem) -> None:

@@ -34,7 +34,7 @@ OF_JOINTS = {name: cls for name, cls in EFFECTS.items() if issubclass(cls, Joint
 # What files/urdf.py and files/mjcf.py write: attributes of a joint by themselves, elements by code of their own.
 WRITTEN = {
     "urdf": r"|dynamics/(damping|friction)|link/inertial",
-    "mjcf": r"|joint/(damping|frictionloss|armature|stiffness|springref)|option/gravity|body/inertial"
+    "mjcf": r"|joint/(damping|frictionloss|armature|stiffness|springref|ref)|option/gravity|body/inertial"
     r"|(elasticity|backlash)/(stiffness|range|damping)|tendon/(coef|damping|frictionloss|armature)",
 }
 
