@@ -216,7 +216,7 @@ class Design:
         near: Sequence[FloatArray] | None = None,
     ) -> Design:
         """Return the design with the most likely remainder at ``parameters (D,)`` of the columns of :meth:`gather`, for
-        deviations ``named (C,)`` of named effects, see :meth:`Remainder.fitted_variances`. Channels not in ``among``
+        a power ``named (C,)`` of the named effects, see :meth:`Remainder.fitted_variances`. Channels not in ``among``
         keep theirs. The search begins only at the variances ``near``, if these are given."""
         among, variances = range(len(self.channels)) if among is None else list(among), list(self.variances)
         residuals = self._residuals(bodies, terms, parameters, among)

@@ -26,8 +26,6 @@ from geomid_ros.inference.design import BLOCKS, DEFAULT_FRACTION, Design, Remain
 from geomid_ros.inference.prior import Chosen, Prior, Term
 from geomid_ros.types import FloatArray
 
-_IMPERFECT = 0.2  # fraction of a named effect's RMS by which it may deviate from its columns
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointFit(Generic[Chosen, Term]):
@@ -103,14 +101,10 @@ class JointFit(Generic[Chosen, Term]):
         return np.asarray(self.inverse[places[:, None], places] * np.outer(scales, scales))
 
     def with_fitted_remainder(self, design: Design, among: Collection[int] | None = None) -> Design:
-        """Return the design with the most likely remainder at this fit, for all channels or those in ``among``.
-
-        No effect acts exactly as its columns state, but a body does, except for the gain of the efforts.
-        """
+        """Return the design with the most likely remainder at this fit, for all channels or those in ``among``."""
         named = np.zeros(len(design.channels))
         for candidate, values in self.changes.items():
-            deviation = _IMPERFECT if candidate.payload is None else priors.GAIN
-            named += deviation**2 * design.powers(candidate, values) / self.squares
+            named += design.powers(candidate, values) / self.squares
         return design.with_fitted_remainder(self.bodies, self.terms, self.point.parameters, named, among)
 
     def remainders(self, design: Design) -> list[RemainderFit]:

@@ -18,6 +18,7 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 DEFAULT_VARIANCE = 0.3**2
 """Default prior variance of a block's contribution, in units of the noise variance."""
+_IMPERFECT = 0.05  # fraction of the named effects' RMS by which each block may deviate
 _STARTS = (DEFAULT_VARIANCE, 3.0**2)  # there are several minima
 _ROUNDS = 20
 _SETTLED = 0.1  # change of a log variance
@@ -99,11 +100,11 @@ class Remainder:
         """Return the most likely variances ``(blocks,)`` for a residual with column weights ``vector (K,)`` and this
         sum of squares, by MacKay's fixed point from several starts, or from ``near (blocks,)``.
 
-        Given other recordings, the remainder changes only by the default variance, and by ``named``: the mean square by
-        which the named effects may deviate from their columns, in units of the noise variance.
+        Given other recordings, the remainder changes only by the default variance, and by a fraction of ``named``: the
+        mean square of the named effects in units of the noise variance. No effect acts exactly as its columns state.
         """
         if self.prior_covariance is not None:
-            return self.default_variances + named / max(len(self.default_variances), 1)
+            return self.default_variances + _IMPERFECT**2 * named
         if not len(self.block) or not square > 0.0:
             return self.default_variances
         residual = self.crossed @ vector

@@ -20,7 +20,6 @@ from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
 from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
 from geomid_ros.inference.rao_score import ScoreTest, score_tests
-from geomid_ros.inference.remainder import DEFAULT_VARIANCE
 from geomid_ros.model.effects import AtSensor
 from geomid_ros.model.effects.sensor_errors import WrenchOffset
 from geomid_ros.types import FloatArray
@@ -127,21 +126,6 @@ def test_a_row_that_a_name_explains_exactly_does_not_lose_itself_in_the_remainde
         design = found.with_fitted_remainder(design)
         assert design.gather([], found.terms).targets[0] > 0.0
         assert np.isfinite(found.score)
-
-
-@pytest.mark.parametrize(("candidate", "share"), [(PAYLOAD, GAIN), (VISCOUS, 0.2)])
-def test_a_body_deviates_from_its_columns_by_the_gain_of_the_efforts_alone(candidate: Candidate, share: float) -> None:
-    """However many blocks the remainder has; an effect deviates by more."""
-    whole = designed(3)
-    places, before = [c.links for c in whole.channels], 1e-3 * np.eye(2)
-    features = np.random.default_rng(4).normal(size=(ROWS, 2))
-    pairs = zip(whole.channels, places, strict=True)
-    rows = [ChannelRows(c.columns, features, np.arange(2), c.place, links, before) for c, links in pairs]
-    design = Design.of(rows, whole.dimension)
-    found = fit(design, PRIOR, [candidate])
-    changes = np.array([np.sum(v - DEFAULT_VARIANCE) for v in found.with_fitted_remainder(design).variances])
-    powers = design.powers(candidate, found.changes[candidate]) / found.squares
-    np.testing.assert_allclose(changes, share**2 * powers, rtol=1e-6, atol=1e-12)
 
 
 def test_a_minimum_is_near_enough_where_no_step_promises_much() -> None:
