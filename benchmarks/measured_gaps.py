@@ -16,6 +16,7 @@ import numpy as np
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from benchmarks.measured_data import CASES
 from benchmarks.problem import measured
 from benchmarks.report import Report
 from geomid_ros.types import FloatArray
@@ -77,7 +78,8 @@ def _recordings(folder: Path) -> Iterator[_Recording]:
     )
     rokae = measured("rokae_ar5_tilted")
     urdf = next(rokae.glob("*.urdf"))
-    yield _Recording("ROKAE AR5", "mounted on its side", (rokae / "real", "--urdf", urdf))
+    gravity = map(str, CASES["rokae"].options["config"]["gravity"])
+    yield _Recording("ROKAE AR5", "mounted on its side", (rokae / "real", "--urdf", urdf, "--gravity", *gravity))
     airbot = measured("airbot_play")
     robot = ("--urdf", airbot / "airbot_play.urdf")
     _geomid("identify", airbot / "chirp", *robot, "--out", folder / "unloaded")
@@ -147,7 +149,7 @@ def _cells(found: dict[str, Any]) -> list[str]:
     names: dict[bool, list[str]] = {True: [], False: []}
     for finding in found["findings"]:
         main, quantity = next(iter(finding["parameters"].items()))
-        name = f"{finding['effect']} {finding['joint']} ({main} {quantity['value']:.3g} {quantity['unit']})"
+        name = f"{finding['effect']} {finding['joint']} ({main} {_value(quantity)})"
         names[finding["confidence"] == "confident"].append(name)
     worst = [max(v for v in found["gap"][kind].values() if v is not None) for kind in _KINDS]
     return [
@@ -155,6 +157,11 @@ def _cells(found: dict[str, Any]) -> list[str]:
         *("; ".join(names[sure][:_SHOWN]) for sure in (True, False)),
         *(f"{w:.2f}" for w in worst),
     ]
+
+
+def _value(quantity: dict[str, Any]) -> str:
+    std = "" if quantity["std"] is None else f" ± {quantity['std']:.2g}"
+    return f"{quantity['value']:.3g}{std} {quantity['unit']}"
 
 
 _KINDS = ("before", "inertias_only", "after")
