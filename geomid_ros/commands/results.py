@@ -271,18 +271,21 @@ def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **
 
 
 def _show_payload(result: geomid_ros.Payload, controller: str | None) -> None:
-    """Print the payload, preceded by reasons against using it, and the commands that set it."""
+    """Print reasons against using the payload, the payload, its numbers if any is identified, and the commands that
+    set it."""
     from geomid_ros.estimation.estimate import QUANTITIES, UNITS
 
-    console = results_console()
-    print_verdict(console, result.weighed.verdict, result.weighed.warnings, result.weighed.notes)
-    console.print(result.sentence)
+    console, weighed = results_console(), result.weighed
+    print_verdict(console, weighed.verdict, ())
+    say(console, "", result.sentence)
+    print_remarks(console, {"Warning": weighed.warnings, "Note": weighed.notes})
     title, remarks = f"Payload in the axes of '{result.frame}'", ["unit", "identified"]
     table = plain_table(title, ["quantity"], ["value", "std"], remarks)
     rows = zip(QUANTITIES, result.inertial.quantities, result.inertial.std, UNITS, strict=True)
     for name, value, std, unit in rows:
-        identified = "no" if name in result.weighed.cannot_tell else "yes"
+        identified = "no" if name in weighed.cannot_tell else "yes"
         table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, identified)
-    console.print(table)
+    if not weighed.nothing_identified:
+        console.print(table)
     if controller:
         click.echo(result.commands(controller), nl=False)
