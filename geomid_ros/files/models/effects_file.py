@@ -133,17 +133,17 @@ def unrepresentable(effects: Iterable[KnownEffect], files: Iterable[str]) -> lis
     places_of: dict[str, list[str]] = {}
     for effect in effects:
         cls = effect_class(effect.effect)
-        forms = [form for form in cls.parameters if form.name in effect.parameters]
         # No format has a constant of default value, and no simulator needs it.
-        missing = [form.name for form in forms if not form.said_by(files) and form.name != cls.default_constant]
+        forms = [form for form in cls.parameters if form.name in {*effect.parameters} - {cls.default_constant}]
+        missing = [form.name for form in forms if not form.said_by(files)]
         if missing and not cls.is_sensor_error:
             name = cls.label if cls.label[0].isupper() else effect.effect.replace("_", " ")
             phrase = name + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
             places_of.setdefault(phrase, []).append(effect.link or effect.joint)
-    return [f"{phrase}{_at(places)}" for phrase, places in places_of.items()]
+    return [f"{phrase}{at_places(places)}" for phrase, places in places_of.items()]
 
 
-def _at(places: Sequence[str]) -> str:
+def at_places(places: Sequence[str]) -> str:
     """Name one place, or count several."""
     return f" at {len(places)} places" if len(places) > 1 else f" of {places[0]}" if any(places) else ""
 
