@@ -249,6 +249,16 @@ def test_a_file_that_loses_most_of_what_the_estimate_gained_says_so(rms: float, 
     assert bool(judged.limited) == tells
 
 
+@pytest.mark.parametrize("factor", [1.0, 3.0])
+def test_the_urdf_beside_another_file_is_tested_too(factor: float) -> None:
+    estimate = found().estimate
+    within = {**estimate.within, "urdf": factor * estimate.within["urdf"]}
+    result = replace(found(), reader="mujoco", estimate=replace(estimate, within=within))
+    bad = [warning for warning in result.verdict.warnings if warning.startswith("identified.urdf ")]
+    assert len(bad) == (factor > 1.0)
+    assert result.verdict.word == "usable", "the file that was asked for is as good as before"
+
+
 @pytest.mark.parametrize("reader", WRITTEN)
 def test_what_is_exported_later_is_what_was_fitted_then(reader: str, tmp_path: Path) -> None:
     save(found().session, tmp_path, found().estimate)
