@@ -116,7 +116,10 @@ def _show_verification(result: geomid_ros.Verification) -> None:
     checked = [outcome.passed for outcome in result.outcomes if outcome.passed is not None]
     skipped = len(result.outcomes) - len(checked)
     summary = f"{sum(checked)} of {len(checked)} requirements hold" + (f", {skipped} not checked" if skipped else "")
-    say(console, "PASSED:" if result.passed else "FAILED:", f" {summary}" + ("; doubtful" if result.doubts else ""))
+    if result.outcomes or result.doubts:
+        say(console, "PASSED:" if result.passed else "FAILED:", f" {summary}" + ("; doubtful" if result.doubts else ""))
+    else:
+        say(console, "", "No requirement is given (--require): nothing was checked.")
 
 
 def _number(value: float) -> str:
