@@ -22,6 +22,7 @@ from geomid_ros.files.models.effects_file import at_places, coefficients_of
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import attributes_entry, to_document
+from geomid_ros.model.effects import effect_class
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
 from geomid_ros.report.result_pages import ChannelErrors, ComparisonPage, write_comparison_page
@@ -197,8 +198,15 @@ def _notes_on(results: Sequence[EstimateFile], *, own_data: bool) -> list[str]:
 
 
 def _only_in_one(sources: Sequence[PathLike], values: Sequence[RobotValues]) -> Iterator[str]:
-    """Yield a remark on the effects that the other result has not: there is nothing that they differ from."""
-    keys = [{(effect.effect, effect.link or effect.joint) for effect in each.effects} for each in values]
+    """Yield a remark on the effects, or parts of them, that the other result has not: they differ from nothing."""
+    keys = [
+        {
+            (name, effect.link or effect.joint)
+            for effect in each.effects
+            for name in (effect.effect, *(part.name for part in effect_class(effect.effect).grid()[0].parts))
+        }
+        for each in values
+    ]
     for source, own, others in zip(sources, keys, reversed(keys), strict=True):
         places: dict[str, list[str]] = {}
         for effect, place in sorted(own - others):

@@ -103,7 +103,8 @@ def _show_verification(result: geomid_ros.Verification) -> None:
     console = results_console()
     warnings = [sentence for sentence in result.session.review.warnings() if sentence not in result.doubts]
     print_remarks(console, {DOUBTFUL.upper(): result.doubts, "Warning": warnings, "Note": result.session.notes})
-    table = plain_table("RMS of the residual", ["channel"], ["unit", "URDF", "model", "floor"])
+    given = Path(result.session.robot.source).name or "URDF"
+    table = plain_table("RMS of the residual", ["channel"], ["unit", given, "model", "floor"])
     for channel in result.session.model.channels:
         numbers = result.rms[channel.name]
         table.add_row(channel.name, channel.unit, *(_number(numbers[key]) for key in ("urdf", "value", "floor")))
