@@ -11,7 +11,7 @@
         joint: joint3               # or FIRST+SECOND, or the topic of a wrench sensor; absent for the whole robot
         link: tool                  # of a payload, else absent
         parameters:
-          level: {value: 1.2, std: 0.01, unit: N m}     # std: standard deviation, null where it is not known
+          level: {value: 1.2, std: 0.01, unit: N m}     # std: standard deviation of this value, null if not known
           excess: {value: 0.4, std: 0.02, unit: N m}
           speed: {value: 0.1, std: 0.01, unit: rad/s}
         urdf: [level]               # the parameters that the URDF contains, too
