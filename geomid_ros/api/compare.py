@@ -18,7 +18,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Difference, RobotValues, compare_robots
 from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.exports.payload import Summand, total
-from geomid_ros.files.models.effects_file import at_places, coefficients_of
+from geomid_ros.files.models.effects_file import coefficients_of, effect_name, with_places
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import attributes_entry, to_document
@@ -208,11 +208,9 @@ def _only_in_one(sources: Sequence[PathLike], values: Sequence[RobotValues]) -> 
         for each in values
     ]
     for source, own, others in zip(sources, keys, reversed(keys), strict=True):
-        places: dict[str, list[str]] = {}
-        for effect, place in sorted(own - others):
-            places.setdefault(effect.replace("_", " "), []).append(place)
-        if places:
-            yield f"only {source} has {', '.join(f'{name}{at_places(at)}' for name, at in places.items())}"
+        if own - others:
+            named = with_places((effect_name(effect), place) for effect, place in sorted(own - others))
+            yield f"only {source} has {', '.join(named)}"
 
 
 def _errors_on_bags(side: _Side, options: CompareOptions) -> tuple[Session, dict[str, float]]:

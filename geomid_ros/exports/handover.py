@@ -16,7 +16,7 @@ from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, RobotToDescribe
-from geomid_ros.files.models.effects_file import at_places, coefficients_of, unrepresentable
+from geomid_ros.files.models.effects_file import coefficients_of, effect_name, unrepresentable, with_places
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, MUJOCO, URDF
 from geomid_ros.files.models.written_model import WrittenModel, written_model
@@ -211,13 +211,11 @@ def _fuller(effects: Sequence[KnownEffect], reader: str) -> tuple[str, ...]:
 def _added(read: ReadBack, effects: Iterable[KnownEffect]) -> tuple[str, ...]:
     """Effects in words that a description has at joints and the ``effects`` have not: its own fit chose them, or they
     are of the given description."""
-    elements, places = ELEMENTS[read.reader], dict[str, list[str]]()
+    elements = ELEMENTS[read.reader]
     own = {(e.joint, form.place_in(elements)) for e in effects for form in effect_class(e.effect).parameters}
     names = {cls.parameters[0].place_in(elements): cls.name for cls in reversed(EFFECTS.values())}
-    for (joint, at), value in read.attributes.items():
-        if value and at in names and (joint, at) not in own:
-            places.setdefault(names[at].replace("_", " "), []).append(joint)
-    return tuple(f"{name}{at_places(joints)}" for name, joints in places.items())
+    added = [pair for pair, value in read.attributes.items() if value and pair[1] in names and pair not in own]
+    return tuple(with_places((effect_name(names[at]), joint) for joint, at in added))
 
 
 def file_name(reader: str) -> str:
