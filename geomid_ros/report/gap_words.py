@@ -102,12 +102,14 @@ def compared(rival: Rival) -> str:
     return f"{title(rival)} ({'worse' if rival.loss >= 0.0 else 'better'} by {abs(rival.loss):.1f})"
 
 
-def interval(quantity: Quantity) -> str:
-    """95 % interval of the true value; :data:`NONE` for a constant, or if the standard deviation is infinite."""
+def interval(quantity: Quantity, name: str, effect: str) -> str:
+    """95 % interval of the true value of an effect's parameter, from the least possible value on; :data:`NONE` for a
+    constant, or if the standard deviation is infinite."""
     if not 0.0 < quantity.std < math.inf:
         return NONE
     decimals, half = _decimals(quantity.std, quantity.value), STDS_OF_95 * quantity.std
-    return f"{quantity.value - half:.{decimals}f} to {quantity.value + half:.{decimals}f}"
+    (above,) = (form.above for form in effect_class(effect).parameters if form.name == name)
+    return f"{max(quantity.value - half, above):.{decimals}f} to {quantity.value + half:.{decimals}f}"
 
 
 def worst(values: FloatArray) -> float:
