@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
@@ -18,10 +18,11 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Difference, RobotValues, compare_robots
 from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.exports.payload import Summand, total
-from geomid_ros.files.models.effects_file import coefficients_of
+from geomid_ros.files.models.effects_file import coefficients_of, effect_name, with_places
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import attributes_entry, to_document
+from geomid_ros.model.effects import effect_class
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
 from geomid_ros.report.result_pages import ChannelErrors, ComparisonPage, write_comparison_page
@@ -108,7 +109,7 @@ def compare(options: CompareOptions) -> Comparison:
         raise InputError(f"{first}, {second}: neither is an estimate.json; at least one must have standard deviations")
     values = [side.values if isinstance(side, EstimateFile) else _urdf_values(side, results[0]) for side in sides]
     _check_same_robot(sides, values)
-    doubts = [f"{result.source}: {remark}" for result in results for remark in result.judgement.remarks]
+    doubts = [f"{result.source}: {reason}" for result in results for reason in result.judgement.reasons]
     status = max(result.judgement.status for result in results)
     errors = [side.rms.held_out or side.rms.train if isinstance(side, EstimateFile) else {} for side in sides]
     units = {row.channel: row.unit for result in results for row in result.channels}
@@ -130,7 +131,7 @@ def compare(options: CompareOptions) -> Comparison:
         ],
         judged_on=", ".join(map(str, paths(options.bag))) if options.bag else _OWN,
         doubts=list(dict.fromkeys(doubts)),
-        notes=_notes_on(results, own_data=not options.bag),
+        notes=[*_notes_on(results, own_data=not options.bag), *_only_in_one((first, second), values)],
         status=status,
     )
 
@@ -194,6 +195,22 @@ def _notes_on(results: Sequence[EstimateFile], *, own_data: bool) -> list[str]:
         *(f"{path} has no standard deviations; its links are treated as exact" for path in exact),
         *(f"{path} has no held-out data; its errors are training errors" for path in fitted),
     ]
+
+
+def _only_in_one(sources: Sequence[PathLike], values: Sequence[RobotValues]) -> Iterator[str]:
+    """Yield a remark on the effects, or parts of them, that the other result has not: they differ from nothing."""
+    keys = [
+        {
+            (name, effect.link or effect.joint)
+            for effect in each.effects
+            for name in (effect.effect, *(part.name for part in effect_class(effect.effect).grid()[0].parts))
+        }
+        for each in values
+    ]
+    for source, own, others in zip(sources, keys, reversed(keys), strict=True):
+        if own - others:
+            named = with_places((effect_name(effect), place) for effect, place in sorted(own - others))
+            yield f"only {source} has {', '.join(named)}"
 
 
 def _errors_on_bags(side: _Side, options: CompareOptions) -> tuple[Session, dict[str, float]]:

@@ -17,7 +17,7 @@ from geomid_ros.checks.verdict import DOUBTFUL, STATUS, recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, as_described
 from geomid_ros.exports.handover import FileTest, evaluate_description, file_name
-from geomid_ros.exports.model import read_model
+from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
@@ -82,15 +82,20 @@ class Gap:
         if self.with_simulator:
             return None
         identified = dict(zip(self.result.channels, (self.result.gap.after * self.result.floor).tolist(), strict=True))
-        return evaluate_description(self.session, self.reader, self._description, self.held_out, identified)
+        effects, held_out = self._written.known, self.held_out
+        return evaluate_description(self.session, self.reader, self._description, held_out, identified, effects)
+
+    @cached_property
+    def _written(self) -> ExportModel:
+        """Model for :attr:`reader` as it is written."""
+        with TemporaryDirectory() as folder:
+            write_found(Path(folder), self.session, self.result, self.reader)
+            return read_model(Path(folder) / "estimate.json", self.reader)
 
     @cached_property
     def _description(self) -> DescriptionFiles:
         """Description for :attr:`reader` of the model as it is written."""
-        with TemporaryDirectory() as folder:
-            write_found(Path(folder), self.session, self.result, self.reader)
-            model = read_model(Path(folder) / "estimate.json", self.reader)
-        return DESCRIPTIONS[self.reader].whole(as_described(model))
+        return DESCRIPTIONS[self.reader].whole(as_described(self._written))
 
     @property
     def status(self) -> int:

@@ -105,7 +105,8 @@ class Identification:
         verdict = self.session.review.verdict(self.estimate, self.judged, self.held_out_rms)
         if verdict.explains_all:
             return verdict
-        verdict = replace(verdict, warnings=(*verdict.warnings, *self.handover.limited))
+        beside = [] if self._urdf_test is None else [*self._urdf_test.worse, *self._urdf_test.limited]
+        verdict = replace(verdict, warnings=(*verdict.warnings, *self.handover.limited, *beside))
         worse = self.handover.worse
         return replace(verdict, word=DOUBTFUL, reasons=(*verdict.reasons, *worse)) if worse else verdict
 
@@ -122,6 +123,12 @@ class Identification:
             InputError: that program rejects it.
         """
         return self.written.evaluate(self.judged, self.rms)
+
+    @cached_property
+    def _urdf_test(self) -> FileTest | None:
+        """Prediction error of identified.urdf, if :attr:`written` is another file."""
+        urdf = DescriptionTest(self.session, self.estimate, URDF)
+        return None if self.written.name == urdf.name else urdf.evaluate(self.judged, self.rms)
 
     @cached_property
     def train(self) -> Sequence[Samples]:

@@ -188,16 +188,15 @@ def show_gap(found: geomid_ros.Gap) -> None:
 
 
 def _print_file(console: Console, file: FileTest) -> None:
-    """Print the prediction error of the written description, and the channels where the given one is better."""
+    """Print the prediction error of the written description, where the given one is better, and what it lacks."""
     say(console, "", file.sentence)
-    for sentence in file.worse:
-        say(console, DOUBTFUL.upper(), f"  {sentence}")
-    for sentence in file.limited:
-        say(console, "Warning", f"  {sentence}")
+    notes = filter(None, [file.note])
+    print_remarks(console, {DOUBTFUL.upper(): file.worse, "Warning": file.limited, "Note": notes})
 
 
 def _findings_table(result: GapResult) -> Table:
-    table = plain_table("Findings (sure ones are in the written model)", ["effect", "where"])
+    title = "Findings (sure ones are in the written model; ± is one standard deviation)"
+    table = plain_table(title, ["effect", "where"])
     for heading, is_number in (("parameter", False), ("value", True), ("probability", False), ("closes", True)):
         table.add_column(heading, justify="right" if is_number else "left", no_wrap=True)
     for finding in result.findings:
@@ -211,13 +210,11 @@ def _findings_table(result: GapResult) -> Table:
 
 
 def _sentences(result: GapResult) -> Iterator[str]:
-    """Yield a sentence for each finding, with rivals if it is ambiguous; of many findings only the ambiguous ones."""
-    few = len(result.findings) <= gap_words.MOST_LISTED
+    """Yield a sentence with the rivals of each ambiguous finding."""
     for finding in result.findings:
         rivals = [gap_words.compared(rival) for rival in finding.rivals[: gap_words.MOST_LISTED]]
-        ambiguous = finding.confidence == "ambiguous" and rivals
-        if few or ambiguous:
-            yield f"{finding.sentence}{' Rivals: ' + ', '.join(rivals) + '.' if ambiguous else ''}"
+        if finding.confidence == "ambiguous" and rivals:
+            yield f"{finding.sentence} Rivals: {', '.join(rivals)}."
 
 
 def _gaps_table(result: GapResult) -> Table:

@@ -103,7 +103,8 @@ def _show_verification(result: geomid_ros.Verification) -> None:
     console = results_console()
     warnings = [sentence for sentence in result.session.review.warnings() if sentence not in result.doubts]
     print_remarks(console, {DOUBTFUL.upper(): result.doubts, "Warning": warnings, "Note": result.session.notes})
-    table = plain_table("RMS of the residual", ["channel"], ["unit", "URDF", "model", "floor"])
+    given = Path(result.session.robot.source).name or "URDF"
+    table = plain_table("RMS of the residual", ["channel"], ["unit", given, "model", "floor"])
     for channel in result.session.model.channels:
         numbers = result.rms[channel.name]
         table.add_row(channel.name, channel.unit, *(_number(numbers[key]) for key in ("urdf", "value", "floor")))
@@ -116,7 +117,10 @@ def _show_verification(result: geomid_ros.Verification) -> None:
     checked = [outcome.passed for outcome in result.outcomes if outcome.passed is not None]
     skipped = len(result.outcomes) - len(checked)
     summary = f"{sum(checked)} of {len(checked)} requirements hold" + (f", {skipped} not checked" if skipped else "")
-    say(console, "PASSED:" if result.passed else "FAILED:", f" {summary}" + ("; doubtful" if result.doubts else ""))
+    if result.outcomes or result.doubts:
+        say(console, "PASSED:" if result.passed else "FAILED:", f" {summary}" + ("; doubtful" if result.doubts else ""))
+    else:
+        say(console, "", "No requirement is given (--require): nothing was checked.")
 
 
 def _number(value: float) -> str:
@@ -271,18 +275,21 @@ def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **
 
 
 def _show_payload(result: geomid_ros.Payload, controller: str | None) -> None:
-    """Print the payload, preceded by reasons against using it, and the commands that set it."""
+    """Print reasons against using the payload, the payload, its numbers if any is identified, and the commands that
+    set it."""
     from geomid_ros.estimation.estimate import QUANTITIES, UNITS
 
-    console = results_console()
-    print_verdict(console, result.weighed.verdict, result.weighed.warnings, result.weighed.notes)
-    console.print(result.sentence)
+    console, weighed = results_console(), result.weighed
+    print_verdict(console, weighed.verdict, ())
+    say(console, "", result.sentence)
+    print_remarks(console, {"Warning": weighed.warnings, "Note": weighed.notes})
     title, remarks = f"Payload in the axes of '{result.frame}'", ["unit", "identified"]
     table = plain_table(title, ["quantity"], ["value", "std"], remarks)
     rows = zip(QUANTITIES, result.inertial.quantities, result.inertial.std, UNITS, strict=True)
     for name, value, std, unit in rows:
-        identified = "no" if name in result.weighed.cannot_tell else "yes"
+        identified = "no" if name in weighed.cannot_tell else "yes"
         table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, identified)
-    console.print(table)
+    if not weighed.nothing_identified:
+        console.print(table)
     if controller:
         click.echo(result.commands(controller), nl=False)

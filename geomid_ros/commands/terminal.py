@@ -57,7 +57,7 @@ def lines(texts: Iterable[str]) -> Text:
 
 def print_written(files: Sequence[Path], folder: Path, *, report: bool) -> None:
     """Print the written files; if no page was requested, name an older page in the folder."""
-    click.echo(f"\nWritten: {', '.join(map(str, files))}")
+    click.echo(f"\nWritten to {folder}: {', '.join(file.name for file in files)}")
     if not report and (old := folder / "report.html").exists():
         click.echo(f"Not of this run: {old}")
 

@@ -395,19 +395,20 @@ def _outliers(fitted: Fit) -> BoolArray:
 
 
 def _outlier_warnings(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
-    """Yield a warning for each link that left its prior."""
+    """Yield a warning with all links that left their priors, if any."""
     pairs = zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
-    ratios = fitted.prior_stds / fitted.problem.default_stds
+    ratios, changes = fitted.prior_stds / fitted.problem.default_stds, list[str]()
     for name, outlier, ratio, (before, after) in zip(model.body_names, _outliers(fitted), ratios, pairs, strict=True):
         if outlier:
-            change = f"moved from {before[3, 3]:.3g} to {after[3, 3]:.3g} kg"
+            moved = f"from {before[3, 3]:.3g} to {after[3, 3]:.3g} kg"
             if abs(np.log(after[3, 3] / before[3, 3])) < WITHIN:
-                change = "changed its centre of mass or its inertia"
-            yield (
-                f"link '{name}' {change} ({ratio:.1f} default prior std): the URDF's inertia is wrong or a "
-                "placeholder, or the link absorbs an unmodelled effect, such as a spring, a payload or other friction; "
-                "check the URDF, or run 'geomid gap'"
-            )
+                moved = "in centre of mass or inertia"
+            changes.append(f"'{name}' {moved} ({ratio:.1f} default prior std)")
+    if changes:
+        yield (
+            f"links far from the URDF: {', '.join(changes)}; its inertias are wrong or placeholders, or these links "
+            "absorb an unmodelled effect (a spring, a payload, other friction); check the URDF, or run 'geomid gap'"
+        )
 
 
 def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> FloatArray:

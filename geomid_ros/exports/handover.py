@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +16,7 @@ from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, RobotToDescribe
-from geomid_ros.files.models.effects_file import coefficients_of, unrepresentable
+from geomid_ros.files.models.effects_file import coefficients_of, effect_name, unrepresentable, with_places
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, MUJOCO, URDF
 from geomid_ros.files.models.written_model import WrittenModel, written_model
@@ -195,18 +195,27 @@ class DescriptionTest:
         of_sensors = [effect for effect in self.model.effects if effect_class(effect.effect).is_sensor_error]
         errors = np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
         effects = model_effects(self.estimate, self.session.loaded.effects)
-        lacking = {reader: _omitted(effects, reader) for reader in DESCRIBED_FOR}
-        fewest = min(lacking.values())
-        return replace(
-            evaluate_description(self.session, self.reader, self._whole, batches, full_rms, errors=errors),
-            omissions=tuple(unrepresentable(effects, ELEMENTS[self.reader])),
-            fuller=tuple(reader for reader, count in lacking.items() if fewest == count < lacking[self.reader]),
+        return evaluate_description(
+            self.session, self.reader, self._whole, batches, full_rms, effects=effects, errors=errors
         )
 
 
-def _omitted(effects: Sequence[KnownEffect], reader: str) -> int:
-    """Count the effects that a reader's format cannot represent."""
-    return sum(bool(unrepresentable([effect], ELEMENTS[reader])) for effect in effects)
+def _fuller(effects: Sequence[KnownEffect], reader: str) -> tuple[str, ...]:
+    """Readers of the formats that can represent most of the effects, if that is more than this ``reader``'s can."""
+    lacking = {
+        each: sum(bool(unrepresentable([effect], ELEMENTS[each])) for effect in effects) for each in DESCRIBED_FOR
+    }
+    return tuple(each for each, count in lacking.items() if min(lacking.values()) == count < lacking[reader])
+
+
+def _added(read: ReadBack, effects: Iterable[KnownEffect]) -> tuple[str, ...]:
+    """Effects in words that a description has at joints and the ``effects`` have not: its own fit chose them, or they
+    are of the given description."""
+    elements = ELEMENTS[read.reader]
+    own = {(e.joint, form.place_in(elements)) for e in effects for form in effect_class(e.effect).parameters}
+    names = {cls.parameters[0].place_in(elements): cls.name for cls in reversed(EFFECTS.values())}
+    added = [pair for pair, value in read.attributes.items() if value and pair[1] in names and pair not in own]
+    return tuple(with_places((effect_name(names[at]), joint) for joint, at in added))
 
 
 def file_name(reader: str) -> str:
@@ -226,7 +235,8 @@ class FileTest:
         corrected: of the file, with the sensor errors from the files beside it.
         given: of the given description.
         full_rms: of the full estimate, including effects that the file cannot represent.
-        omissions: effects of the estimate that the file cannot represent, in words, if that is known.
+        omissions: effects of the estimate that the file cannot represent, in words.
+        added: effects of the file that the estimate has not, in words.
         fuller: readers of the formats that can represent most of them, if these can represent more.
     """
 
@@ -237,6 +247,7 @@ class FileTest:
     given: Mapping[str, float]
     full_rms: Mapping[str, float]
     omissions: Sequence[str] = ()
+    added: Sequence[str] = ()
     fuller: Sequence[str] = ()
 
     @property
@@ -258,14 +269,17 @@ class FileTest:
         worse that the estimate predicts better; and sensor errors, which are beside the file."""
         lost, offsets = self._lost, self._degraded[_OFFSETS]
         return [
-            *([f"{lost}: {self._lacks}; {self._advice}"] if lost else []),
+            *([f"{lost}: {self._differs}; {self._advice}"] if lost else []),
             *([f"{self._worse_at(offsets)}, but not with {_ADD}"] if offsets else []),
         ]
 
     @property
     def note(self) -> str:
-        """Sentence on the effects that the file lacks; empty if it lacks none, or if :attr:`limited` has it."""
-        return f"{self.name}: {self._lacks}; estimate.json has them" if self.omissions and not self._lost else ""
+        """Sentence on the effects that the file lacks or adds; empty if there are none, or if :attr:`limited` has
+        it."""
+        if self._lost or not (self.omissions or self.added):
+            return ""
+        return f"{self.name}: {self._differs}{'; estimate.json has them' * bool(self.omissions)}"
 
     @property
     def _lost(self) -> str:
@@ -280,8 +294,11 @@ class FileTest:
         return worse
 
     @property
-    def _lacks(self) -> str:
-        return f"the file cannot represent {', '.join(self.omissions) or 'all that was found'}"
+    def _differs(self) -> str:
+        """Clause on the effects that the file adds to the estimate's, and on those that it lacks."""
+        adds = [f"adds {', '.join(self.added)}"] if self.added else []
+        lacks = [f"cannot represent {', '.join(self.omissions) or 'all that was found'}"]
+        return f"the file {' and '.join(adds + (lacks if self.omissions or not adds else []))}"
 
     @property
     def _advice(self) -> str:
@@ -307,9 +324,10 @@ class FileTest:
     @property
     def entry(self) -> dict[str, object]:
         """Entry of ``estimate.json``."""
-        return {"file": self.name, "loaded_by": self.program, **attributes_entry(self, "alone", "corrected", "given")}
+        return {"file": self.name, "loaded_by": self.program, **attributes_entry(self, *_OF_ENTRY)}
 
 
+_OF_ENTRY = ("alone", "corrected", "given", "omissions", "added")
 _OFFSETS, _FIT, _FORMAT = "offsets", "fit", "format"
 _RECORD = (
     "the fit does not generalise to this motion. Record more motion there, in more poses, and check that there was no "
@@ -328,6 +346,7 @@ def evaluate_description(
     description: DescriptionFiles,
     batches: Sequence[Samples],
     full_rms: Mapping[str, float],
+    effects: Sequence[KnownEffect],
     errors: FloatArray | float = 0.0,
 ) -> FileTest:
     """Test a description on samples, loaded by MuJoCo if it is an MJCF, else by pinocchio.
@@ -338,6 +357,7 @@ def evaluate_description(
         description: the description.
         batches: samples to test on.
         full_rms: residual RMS of the full estimate on them, by channel.
+        effects: effects of the full estimate.
         errors: parameters ``(D,)`` of the sensor errors in files beside it.
 
     Raises:
@@ -365,4 +385,7 @@ def evaluate_description(
         corrected=corrected,
         given=before,
         full_rms=full_rms,
+        omissions=tuple(unrepresentable(effects, ELEMENTS[reader])),
+        added=_added(written, effects),
+        fuller=_fuller(effects, reader),
     )

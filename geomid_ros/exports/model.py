@@ -147,11 +147,17 @@ def read_model(path: Path, reader: str = "") -> ExportModel:
     )
     links = model.as_links(file.inertias if written is None else written.inertias)
     bodies = {name: body for name, body in bodies.items() if name in links or name not in file.inertias}
-    bodies |= {name: replace(bodies[name], parameters=inertia) for name, inertia in links.items()}
+    bodies |= {name: _with_parameters(bodies[name], inertia) for name, inertia in links.items()}
     estimated = tuple(name for name in model.estimated if name in bodies)
     return replace(
         model, bodies=bodies, estimated=estimated, urdf=text if written is None else with_inertials(text, links)
     )
+
+
+def _with_parameters(body: UncertainInertia, parameters: FloatArray) -> UncertainInertia:
+    """Body with other ``parameters (10,)``, and without its standard deviations if these are other values."""
+    std = body.std if np.allclose(parameters, body.parameters) else np.full(10, np.nan)
+    return replace(body, parameters=parameters, std=std)
 
 
 def _of_urdf(path: Path) -> ExportModel:

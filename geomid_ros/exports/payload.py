@@ -279,8 +279,11 @@ class Payload:
 
     @property
     def sentence(self) -> str:
-        """Mass with its interval and its link, after the first moment if the motions identify only that."""
+        """Mass with its interval and its link, after the first moment if the motions identify only that; only the end
+        of the interval if nothing is identified."""
         low, high = self.interval
+        if self.weighed.nothing_identified:
+            return f"no load is identified at '{self.frame}': less than {high:.2g} kg (95 %)"
         gain = f", an uncertain gain of {100.0 * self.weighed.gain:.3g} % included" if self.weighed.gain else ""
         mass = f"{self.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain}), at '{self.frame}'"
         if not self.weighed.only_moment_identified:
@@ -307,6 +310,7 @@ class Payload:
                 "identified": list(weighed.identified_moments),
             },
             "cannot_tell": list(weighed.cannot_tell),
+            "summary": self.sentence,
             "rms": weighed.rms,
             "warnings": list(weighed.warnings),
             "notes": list(weighed.notes),

@@ -20,7 +20,7 @@ from geomid_ros.estimation.suggested_motions import instants
 from geomid_ros.exports.descriptions import DESCRIPTIONS, UserMjcf, as_described, read_user_mjcf
 from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.model import ExportModel, read_model
-from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effects_entries
+from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effect_name, effects_entries
 from geomid_ros.files.models.estimate_file import EstimateFile, link_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.posterior import (
@@ -115,7 +115,7 @@ class DrawnRobots:
         """Effects that are fixed at their estimates in all robots, in a sentence; empty if there are none."""
         drawn = {(effect, place) for effect, place, _ in self._drawn}
         names = [
-            f"{e.effect.replace('_', ' ')} of {e.joint or e.link or 'the robot'}"
+            f"{effect_name(e.effect)} of {e.joint or e.link or 'the robot'}"
             for e in self.model.effects
             if (e.effect, e.joint) not in drawn
         ]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, STDS_OF_95
+from geomid_ros.files.models.effects_file import effect_name
 from geomid_ros.gap.judgement.held_out import GAP_ABOVE
 from geomid_ros.gap.result import Confidence, Finding, GapResult, LinkChange, Ranked, Rival, Unexplained
 from geomid_ros.model.channels import BASE
@@ -20,7 +21,6 @@ MOST_LISTED = 3
 """Largest number of listed parts in a sentence, of findings with a sentence each, and of compared rivals."""
 MOST_CANDIDATES = 8
 """Largest number of candidates in a table, the best first."""
-_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "imu": "IMU"}
 _VARIABLES = {
     "position": "its position",
     "velocity": "its velocity",
@@ -46,11 +46,6 @@ CONFIDENCE: dict[Confidence, tuple[str, str]] = {
     "ambiguous": ("ambiguous", "other effects explain the data as well"),
 }
 """Word of each confidence, and what it means."""
-
-
-def effect_name(effect: str) -> str:
-    """Name of an effect within a sentence: ``Coulomb friction``."""
-    return " ".join(_NAMES.get(word, word) for word in effect.split("_"))
 
 
 def headline(effect: str) -> str:
@@ -107,12 +102,14 @@ def compared(rival: Rival) -> str:
     return f"{title(rival)} ({'worse' if rival.loss >= 0.0 else 'better'} by {abs(rival.loss):.1f})"
 
 
-def interval(quantity: Quantity) -> str:
-    """95 % interval of the true value; :data:`NONE` for a constant, or if the standard deviation is infinite."""
+def interval(quantity: Quantity, name: str, effect: str) -> str:
+    """95 % interval of the true value of an effect's parameter, from the least possible value on; :data:`NONE` for a
+    constant, or if the standard deviation is infinite."""
     if not 0.0 < quantity.std < math.inf:
         return NONE
     decimals, half = _decimals(quantity.std, quantity.value), STDS_OF_95 * quantity.std
-    return f"{quantity.value - half:.{decimals}f} to {quantity.value + half:.{decimals}f}"
+    (above,) = (form.above for form in effect_class(effect).parameters if form.name == name)
+    return f"{max(quantity.value - half, above):.{decimals}f} to {quantity.value + half:.{decimals}f}"
 
 
 def worst(values: FloatArray) -> float:

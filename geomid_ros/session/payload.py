@@ -12,12 +12,21 @@ import numpy as np
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict, is_worse, recording_verdict
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate, UncertainInertia, identified, quantities_and_moments
+from geomid_ros.estimation.estimate import (
+    QUANTITIES,
+    STDS_OF_95,
+    Estimate,
+    UncertainInertia,
+    identified,
+    quantities_and_moments,
+)
 from geomid_ros.estimation.estimator import WarmStart, estimate
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.estimation.posterior import Posterior
+from geomid_ros.estimation.posterior import Posterior, beyond_prior
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.tolerances import ROUNDING_OF_PRODUCTS
+from geomid_ros.estimation.uncertainty import information_inverse
 from geomid_ros.files.models.posterior import places_in
 from geomid_ros.geometry.spd import SIZE
 from geomid_ros.inference.prior import GAIN, PAYLOAD_PRIOR_STD, default_payload
@@ -40,6 +49,7 @@ class WeighedPayload(UncertainInertia):
         moment, moment_std: mass times centre of mass ``(3,)`` [kg m], and standard deviations: identified by gravity
             even if the mass is not.
         gain: relative standard deviation of the effort gain that was assumed.
+        std_of_data: standard deviation of the mass [kg] by the data alone, without the payload's prior.
         identified_moments: axes along which the first moment is identified.
         rms: RMS residual on both recordings by channel [N m, N].
         warnings: reasons to suspect the result.
@@ -53,6 +63,7 @@ class WeighedPayload(UncertainInertia):
     moment: FloatArray
     moment_std: FloatArray
     gain: float
+    std_of_data: float
     identified_moments: tuple[str, ...]
     rms: dict[str, float]
     warnings: tuple[str, ...]
@@ -64,6 +75,19 @@ class WeighedPayload(UncertainInertia):
     def only_moment_identified(self) -> bool:
         """True if the motions identify mass times centre of mass, but not the mass."""
         return bool(self.identified_moments) and "mass" in self.cannot_tell
+
+    @property
+    def nothing_identified(self) -> bool:
+        """True if the data alone allow a payload of no mass, and identify no first moment."""
+        zero_is_possible = self.mass <= STDS_OF_95 * self.std_of_data
+        return zero_is_possible and "mass" in self.cannot_tell and not self.identified_moments
+
+    @property
+    def mass_interval(self) -> tuple[float, float]:
+        """95 % interval of the mass [kg]. If nothing is identified it begins at zero and ends where the data end it: a
+        Gaussian of the logarithm at a tiny mass is only the prior's."""
+        largest = self.mass + STDS_OF_95 * self.std_of_data
+        return (0.0, largest) if self.nothing_identified else super().mass_interval
 
 
 def payload_session(urdf: str, configuration: Configuration, source: str) -> Session:
@@ -165,7 +189,7 @@ def identify_payload(
 def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate], session: Session) -> WeighedPayload:
     """Make the result. ``shifted``: the estimates with the uncertain gain of each channel."""
     body, posterior = fit.links[-1], fit.posterior
-    moments = posterior.manifold.link(len(fit.links) - 1).start + np.arange(1, 4)
+    mass, *moments = posterior.manifold.link(len(fit.links) - 1).start + np.arange(4)
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
     values = quantities_and_moments(body.parameters)
     bodies = [quantities_and_moments(other.links[-1].parameters) for other in shifted]
@@ -185,6 +209,7 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
         moment=values[10:],
         moment_std=deviations[10:],
         gain=gain,
+        std_of_data=_std_of_data(posterior, mass),
         cannot_tell=tuple(compress(QUANTITIES, ~is_identified[:10])),
         identified_moments=tuple(compress("xyz", is_identified[10:])),
         rms=dict(zip(fit.channels, fit.rms.tolist(), strict=True)),
@@ -193,3 +218,12 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
         findings=session.review.findings,
         verdict=recording_verdict(session.review.findings, "" if fit.converged else fit.reason),
     )
+
+
+def _std_of_data(posterior: Posterior, mass: int) -> float:
+    """Standard deviation of the mass of a link in the column ``mass`` without the prior of this link."""
+    link, beyond = slice(mass, mass + SIZE), beyond_prior(posterior.covariance, posterior.prior_stds)
+    weights = np.ones(len(beyond))
+    weights[link] = ROUNDING_OF_PRODUCTS
+    direction = posterior.prior_stds[link] * posterior.jacobian[mass, link]
+    return float(np.sqrt(direction @ information_inverse(beyond.T @ beyond, weights)[link, link] @ direction))

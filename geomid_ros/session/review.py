@@ -52,7 +52,6 @@ class RecordingFacts:
         remarks: remarks that are no faults, in sentences.
         unmeasured: joints whose efforts are missing.
         incomplete: missing parts of the recordings, in sentences.
-        unchecked: names of recordings without checksums.
         settled: choices made for the user, in sentences.
     """
 
@@ -61,7 +60,6 @@ class RecordingFacts:
     remarks: tuple[str, ...] = ()
     unmeasured: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
-    unchecked: tuple[str, ...] = ()
     settled: tuple[str, ...] = ()
 
     def plus(self, later: RecordingFacts) -> RecordingFacts:
@@ -69,7 +67,7 @@ class RecordingFacts:
         ledger = Ledger()
         ledger.add(self.accounts)
         ledger.add(later.accounts)
-        names = ("remarks", "incomplete", "unchecked", "settled")
+        names = ("remarks", "incomplete", "settled")
         texts = {name: tuple(dict.fromkeys((*getattr(self, name), *getattr(later, name)))) for name in names}
         return RecordingFacts(
             accounts=ledger.topics,
@@ -192,7 +190,6 @@ class Review:
         self._validated: tuple[str, ...] = ()  # sentences on recordings that are only evaluated on
         self._forgotten: dict[str, Account] = {}  # the ledger's counts when findings were forgotten
         self._incomplete: list[str] = []  # sentences on missing parts of the recordings that were read
-        self._unchecked: list[str] = []  # names of those without checksums
         self._imus: list[str] = []  # IMU topics in the recordings
         self._elsewhere = RecordingFacts()  # facts about recordings read by another session
 
@@ -334,16 +331,13 @@ class Review:
     @property
     def notes(self) -> list[str]:
         """Remarks in sentences that do not make results doubtful."""
-        names = ", ".join(dict.fromkeys(self._unchecked))
-        unchecked = [f"{names}: no CRCs; corruption cannot be detected"] if names else []
-        return [*self.settled, *unchecked, *_noted(self._ledger.topics, "note")]
+        return [*self.settled, *_noted(self._ledger.topics, "note")]
 
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are from another recording, and which parts of it are missing."""
         self.check.begin_recording(bag.path.name)
         self._imus += [topic for topic, kind in bag.topics.items() if kind in (message_type(IMU), *KINDS[IMU])]
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
-        self._unchecked += [] if bag.has_checksums else [bag.path.name]
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -360,7 +354,6 @@ class Review:
             remarks=self.remarks,
             unmeasured=(*elsewhere.unmeasured, *self.check.unmeasured),
             incomplete=tuple(self._incomplete),
-            unchecked=tuple(self._unchecked),
             settled=tuple(self.settled),
         )
 
@@ -370,7 +363,6 @@ class Review:
         self._ledger.add(recorded.accounts)
         self.findings = self._kept = recorded.findings
         self._incomplete += recorded.incomplete
-        self._unchecked += recorded.unchecked
         self.settled += recorded.settled
 
 

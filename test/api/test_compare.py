@@ -90,6 +90,17 @@ def test_halves_of_a_recording_are_alike(halves: tuple[Path, Path], tmp_path: Pa
     assert {error.name: error.first for error in found.errors} == held_out
 
 
+def test_effects_of_one_result_alone_are_said(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    first, document = halves[0], json.loads(halves[1].read_text())
+    document["effects"] = [effect for effect in document["effects"] if effect["name"] != "rotor_inertia"][1:]
+    (tmp_path / "less.json").write_text(json.dumps(document))
+    found = geomid_ros.compare(first, tmp_path / "less.json")
+    only = f"only {first} has rotor inertia at 7 places, viscous friction of joint1"
+    assert only in found.notes
+    assert f"Note: {only}"[:40] in done("compare", first, tmp_path / "less.json", "--out", tmp_path)
+    assert not any(note.startswith("only") for note in geomid_ros.compare(*halves).notes)
+
+
 def test_a_mass_that_was_changed_is_named(planted: tuple[Path, Path]) -> None:
     """That link, none other, and by as much as it was."""
     found = geomid_ros.compare(*planted)

@@ -45,8 +45,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def test_it_writes_what_it_says(run: tuple[Path, str]) -> None:
     out, output = run
     assert {path.name for path in out.iterdir()} == FILES
-    for name in FILES:
-        assert str(out / name) in output
+    assert all(name in output.partition(f"Written to {out}: ")[2] for name in FILES)
+
+
+def test_a_remark_on_a_topic_is_printed_once(tmp_path: Path) -> None:
+    options = ("--lock", "joint3", *NO_CHOICE, "--no-report", "--out", tmp_path)
+    output = geomid("identify", BAGS / "arm3", "--urdf", BAGS / "arm3.urdf", *options).stdout
+    assert " ".join(output.split()).count("is locked at zero, but moves") == 1
 
 
 def test_without_a_report_nothing_is_drawn(tmp_path: Path) -> None:

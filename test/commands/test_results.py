@@ -60,6 +60,12 @@ def test_a_requirement_that_does_not_hold(model: Path) -> None:
     assert "FAILED: 1 of 2 requirements hold" in " ".join(result.stdout.split())
 
 
+def test_without_requirements_nothing_passes_or_fails(model: Path) -> None:
+    output = done(*verify(model))
+    assert "No requirement is given (--require): nothing was checked." in output
+    assert "PASSED" not in output
+
+
 def test_the_total_mass_is_that_of_the_whole_robot(model: Path) -> None:
     """As ``--known total=`` takes it: the base counts, too."""
     (total,) = geomid_ros.verify(model.parent, BAG, URDF, wrench=WRIST[1], require="total.mass<2*urdf").outcomes

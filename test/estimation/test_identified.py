@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -68,11 +69,12 @@ def test_units_do_not_matter(kilogram: float, metre: float) -> None:
 
 
 @cache
-def solved(factor: float, known: tuple[WeighedMass, ...] = ()) -> Estimate:
-    """The small arm with a last link that is so many times as heavy as in its URDF."""
+def solved(factor: float, known: tuple[WeighedMass, ...] = (), first: int = 2) -> Estimate:
+    """The small arm with links from the ``first`` on, the last one alone, that are so many times as heavy as in its
+    URDF."""
     case = arm("arm3", 0)
     parameters = case.model.nominal_parameters.copy()
-    parameters[20:30] *= factor
+    parameters[10 * first : 30] *= factor
     rows = case.model.rows(case.samples)
     noise = 1e-3 * np.random.default_rng(1).normal(size=rows.targets.shape)
     seen = summary(case.model, rows.coefficients, rows.coefficients @ parameters + noise)
@@ -89,6 +91,13 @@ def test_a_link_that_left_its_prior_is_not_identified_however_sure_it_is() -> No
     assert "mass" not in changed.cannot_tell, "the data say so"
     assert changed.identified == ()
     assert usual.identified == tuple(name for name in QUANTITIES if name not in usual.cannot_tell)
+
+
+def test_links_that_left_their_priors_are_in_one_warning() -> None:
+    (warning,) = (text for text in solved(30.0, first=1).warnings if "from the URDF" in text)
+    for number in (2, 3):
+        assert re.search(rf"'link{number}' from \S+ to \S+ kg \(\S+ default prior std\)", warning)
+    assert not solved(1.0).warnings
 
 
 def test_the_prior_that_grew_is_not_what_the_data_are_compared_with() -> None:

@@ -20,15 +20,22 @@ from model.test_contacts import bent
 import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.errors import InputError
-from geomid_ros.exports.descriptions import described
-from geomid_ros.exports.handover import DescriptionTest, FileTest, ReadBack, read_mjcf_back, read_urdf_back
+from geomid_ros.exports.descriptions import DescriptionFiles, described
+from geomid_ros.exports.handover import (
+    DescriptionTest,
+    FileTest,
+    ReadBack,
+    evaluate_description,
+    read_mjcf_back,
+    read_urdf_back,
+)
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.posterior_samples import sample_robots
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import for_drake, with_inertials
 from geomid_ros.files.models.written_model import written_model
-from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
@@ -116,6 +123,27 @@ def test_springs_rest_and_couplings_are_loaded_as_they_were_fitted(reader: str) 
     assert [*result.evaluate(rich().judged, rich().rms).alone.values()] == pytest.approx(rms.tolist(), rel=1e-4)
 
 
+def test_what_a_file_holds_beyond_the_estimate_is_said() -> None:
+    """Of the estimate's effects the file of MuJoCo holds all; a spring that only its own fit has is named."""
+    estimate, session = rich().estimate, rich().session
+    kept = tuple(effect for effect in estimate.effects if (effect.name, effect.joint) != ("spring", "joint2"))
+    assert len(kept) < len(estimate.effects)
+    for effects, note in ((estimate.effects, ""), (kept, "identified.xml: the file adds spring of joint2")):
+        judged = DescriptionTest(session, replace(estimate, effects=effects), "mujoco").evaluate((), rich().rms)
+        assert judged.note == note
+        assert judged.entry["added"] == ["spring of joint2"] * bool(note)
+
+
+def test_a_deviation_beside_a_value_is_that_of_this_value() -> None:
+    """A file's own fit has others, which are not known; values that it kept have the estimate's."""
+    estimate, model = found().estimate, found().session.model
+    stds = {(effect.name, effect.joint): effect.std for effect in estimate.effects}
+    for within in ({}, {"urdf": 1.1 * estimate.parameters}):
+        for effect in written_model(model, replace(estimate, within=within), "urdf").effects:
+            std = next(iter(effect.parameters.values())).std
+            assert math.isnan(std) if within else std == stds[effect.effect, effect.joint]
+
+
 def test_drake_gets_no_link_without_a_mass() -> None:
     """It would take it for one of 1 kg."""
     empty = '<inertial><mass value="0"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
@@ -191,6 +219,25 @@ def test_what_a_file_cannot_say_casts_no_doubt_on_a_result_that_predicts_better(
     assert not harmless.limited
     assert harmless.note == "f.urdf: the file cannot represent spring of a; estimate.json has them"
     assert "no format holds more" in replace(limited, fuller=()).limited[0]
+    added = replace(harmless, added=("spring of b",))
+    assert added.note == "f.urdf: the file adds spring of b and cannot represent spring of a; estimate.json has them"
+
+
+@pytest.mark.parametrize(
+    ("effects", "reader", "fuller"),
+    [
+        ((), "urdf", ()),
+        (("rotor_inertia",), "urdf", ("isaac", "drake", "mujoco")),
+        (("rotor_inertia",), "drake", ()),  # others hold as much, not more
+        (("rotor_inertia", "viscous_friction", "coulomb_friction"), "drake", ("isaac", "mujoco")),
+        (("presliding",), "urdf", ()),  # no format holds it
+    ],
+)
+def test_formats_that_hold_more_are_named(effects: tuple[str, ...], reader: str, fuller: tuple[str, ...]) -> None:
+    known = [KnownEffect(e, "joint1", "", {f.name: Quantity(1.0) for f in EFFECTS[e].parameters}) for e in effects]
+    description = DescriptionFiles(handed(reader).files[handed(reader).name], [])
+    judged = evaluate_description(found().session, reader, description, (), found().rms, known)
+    assert judged.fuller == fuller
 
 
 @pytest.mark.parametrize(("rms", "tells"), [(1.9, False), (2.1, True)])
@@ -200,6 +247,16 @@ def test_a_file_that_loses_most_of_what_the_estimate_gained_says_so(rms: float, 
     given, file = ({name: factor * value for name, value in one.items()} for factor in (4.0, rms))
     judged = FileTest("f.urdf", "pinocchio", alone=file, corrected=file, given=given, full_rms=one)
     assert bool(judged.limited) == tells
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.0])
+def test_the_urdf_beside_another_file_is_tested_too(factor: float) -> None:
+    estimate = found().estimate
+    within = {**estimate.within, "urdf": factor * estimate.within["urdf"]}
+    result = replace(found(), reader="mujoco", estimate=replace(estimate, within=within))
+    bad = [warning for warning in result.verdict.warnings if warning.startswith("identified.urdf ")]
+    assert len(bad) == (factor > 1.0)
+    assert result.verdict.word == "usable", "the file that was asked for is as good as before"
 
 
 @pytest.mark.parametrize("reader", WRITTEN)
@@ -216,6 +273,8 @@ def test_what_is_exported_later_is_what_was_fitted_then(reader: str, tmp_path: P
         assert {n: q.value for n, q in there.parameters.items()} == pytest.approx(
             {n: q.value for n, q in effect.parameters.items()}
         )
+    kept = np.allclose(list(written.inertias.values()), [link.parameters for link in found().links])
+    assert all(model.bodies[name].has_std == kept for name in written.inertias)
     text = described(model, reader, [], {}).text
     assert dynamics(text) == dynamics(handed(reader).files[handed(reader).name])
 

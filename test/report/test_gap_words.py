@@ -37,12 +37,16 @@ JOINTS = ("hip", "knee", "ankle")
 )
 def test_values_are_as_exact_as_they_are_known(quantity: Quantity, text: str, range_: str) -> None:
     assert measured(quantity) == text
-    assert interval(quantity) == range_
+    assert interval(quantity, "offset", "effort_offset") == range_
+
+
+def test_the_interval_of_what_cannot_be_negative_begins_at_zero() -> None:
+    assert interval(Quantity(0.0017, 0.003, "kg m^2"), "inertia", "rotor_inertia") == "0.0000 to 0.0076"
 
 
 def test_the_interval_holds_95_percent() -> None:
     """Of a normal distribution."""
-    low, high = map(float, interval(Quantity(0.0, 1.0, "m")).split(" to "))
+    low, high = map(float, interval(Quantity(0.0, 1.0, "m"), "offset", "effort_offset").split(" to "))
     draws = np.random.default_rng(0).normal(size=200_000)
     assert np.mean((draws > low) & (draws < high)) == pytest.approx(0.95, abs=0.005)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -126,6 +127,16 @@ def test_what_is_not_told_is_not_said_first() -> None:
     assert re.match(moments, untold.sentence)
     assert untold.document["moment"]["value"] == untold.weighed.moment.tolist()
     assert re.match(r"1\.[23]\d* kg, from", told.sentence)
+
+
+@pytest.mark.parametrize("empty", [known, lambda: [recording(0, False)]])
+def test_nothing_carried_is_said_with_what_it_may_weigh_at_most(empty: Callable[[], Posterior | list[Samples]]) -> None:
+    """The data's own bound, some of their standard deviations: the prior of a tiny mass allows a hundred times it."""
+    found = identify_payload_at(session(), empty(), [recording(1, False)], "tool")
+    assert re.fullmatch(r"no load is identified at 'tool': less than 0\.0\d+ kg \(95 %\)", found.sentence)
+    low, high = found.document["interval"]
+    assert low == 0.0 < high < found.weighed.mass + 4.0 * weighed(1).std[0]
+    assert found.document["summary"] == found.sentence
 
 
 def test_the_link_that_is_taken_where_no_flange_is_named_is_said_once() -> None:

@@ -11,7 +11,7 @@
         joint: joint3               # or FIRST+SECOND, or the topic of a wrench sensor; absent for the whole robot
         link: tool                  # of a payload, else absent
         parameters:
-          level: {value: 1.2, std: 0.01, unit: N m}     # std: standard deviation, null where it is not known
+          level: {value: 1.2, std: 0.01, unit: N m}     # std: standard deviation of this value, null if not known
           excess: {value: 0.4, std: 0.02, unit: N m}
           speed: {value: 0.1, std: 0.01, unit: rad/s}
         urdf: [level]               # the parameters that the URDF contains, too
@@ -129,23 +129,35 @@ def unrepresentable(effects: Iterable[KnownEffect], files: Iterable[str]) -> lis
 
     Sensor errors are ignored, as they are not part of a robot.
     """
-    files = tuple(files)
-    places_of: dict[str, list[str]] = {}
+    files, pairs = tuple(files), list[tuple[str, str]]()
     for effect in effects:
         cls = effect_class(effect.effect)
-        forms = [form for form in cls.parameters if form.name in effect.parameters]
         # No format has a constant of default value, and no simulator needs it.
-        missing = [form.name for form in forms if not form.said_by(files) and form.name != cls.default_constant]
+        forms = [form for form in cls.parameters if form.name in {*effect.parameters} - {cls.default_constant}]
+        missing = [form.name for form in forms if not form.said_by(files)]
         if missing and not cls.is_sensor_error:
-            name = cls.label if cls.label[0].isupper() else effect.effect.replace("_", " ")
-            phrase = name + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
-            places_of.setdefault(phrase, []).append(effect.link or effect.joint)
-    return [f"{phrase}{_at(places)}" for phrase, places in places_of.items()]
+            phrase = effect_name(effect.effect) + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
+            pairs.append((phrase, effect.link or effect.joint))
+    return with_places(pairs)
 
 
-def _at(places: Sequence[str]) -> str:
-    """Name one place, or count several."""
-    return f" at {len(places)} places" if len(places) > 1 else f" of {places[0]}" if any(places) else ""
+_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "imu": "IMU"}
+
+
+def effect_name(effect: str) -> str:
+    """Name of an effect within a sentence: ``Coulomb friction``."""
+    return " ".join(_NAMES.get(word, word) for word in effect.split("_"))
+
+
+def with_places(pairs: Iterable[tuple[str, str]]) -> list[str]:
+    """List each name of ``pairs`` of a name and a place once, with its place, or with the number of its places."""
+    places: dict[str, list[str]] = {}
+    for name, place in pairs:
+        places.setdefault(name, []).append(place)
+    return [
+        f"{name} at {len(at)} places" if len(at) > 1 else f"{name} of {at[0]}" if at[0] else name
+        for name, at in places.items()
+    ]
 
 
 def payload_parameters(payload: Mapping[str, float]) -> FloatArray:

@@ -20,6 +20,7 @@ from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.tolerances import SETTLED
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effects_file import (
     combined,
@@ -183,10 +184,11 @@ def written_model(
     pairs = zip(model.coefficients, parameters[first:].tolist(), strict=True)
     values: _Values = {(c.place, c.effect, c.index): (c, value) for c, value in pairs if value}
     composites = [joined for key in list(values) if (joined := _whole(values, key, ELEMENTS[reader])) is not None]
-    stds = {(effect.name, effect.joint, effect.parameter): effect.std for effect in estimate.effects}
+    estimated = {(effect.name, effect.joint, effect.parameter): effect for effect in estimate.effects}
     effects = []
     for c, value in values.values():
-        std = stds.get((c.effect.name, c.place_name, c.parameter), math.nan)
+        own = estimated.get((c.effect.name, c.place_name, c.parameter))
+        std = own.std if own is not None and abs(value - own.value) <= SETTLED * own.std else math.nan  # of this value
         effects.append(KnownEffect(c.effect.name, c.place_name, "", c.parameters(value, std)))
     return WrittenModel(inertias, tuple(updated_effects(combined([*effects, *composites]), known)))
 
