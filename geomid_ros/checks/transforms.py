@@ -190,12 +190,15 @@ def _gain(matrix: FloatArray, cause: Cause, settled: bool) -> FaultCandidate:
 
 def _common_factor(subject: EffortData) -> tuple[float, bool]:
     """Factor that makes all efforts those of the URDF, and True if it is certain without any evidence: if the fitted
-    links are all too light or too heavy by the same factor."""
+    links are all too light or too heavy by the same factor, or all implausibly light."""
     for slopes, correlations in (subject.slopes(), subject.fitted_slopes(subject.nominal)):
         sure = follows(correlations)
         if np.count_nonzero(sure) >= 2:
             factor = 1.0 / float(np.median(slopes[sure]))
             return factor, bool(np.median(np.abs(np.log(slopes[sure] * factor))) < np.log(MASS_FACTOR))
+    felt = subject.sizes_of_links(subject.nominal)
+    if len(felt) > 1 and np.all((felt > 0.0) & (felt < 1.0 / MASS_FACTOR)):
+        return 1.0 / float(np.median(felt)), True
     predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
     return float(np.median(predicted / subject.measured_std)), False
 
