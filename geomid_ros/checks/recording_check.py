@@ -211,8 +211,8 @@ def _decided(subject: EffortData, continuous: bool) -> FaultDecision:
     timed = [*(changes(subject) if continuous else ()), *lags(subject)]
     tried = [CandidateTest(candidate, subject) for candidate in (*throughout, *timed)]
     decision = decide(tried, count + len(timed), subject.nominal)
-    unlike_any = bool(np.all(decision.fit.sigmas > LARGEST_RESIDUAL))
-    if unlike_any or subject.of_friction.log_evidence > decision.fit.log_evidence:
+    feels_none = decision.finding is None and subject.of_friction.log_evidence > subject.nominal.log_evidence
+    if feels_none or np.all(decision.fit.sigmas > LARGEST_RESIDUAL):
         unrelated = RecordingFault(cause=Cause.of("unrelated", subject.names))
         return replace(decision, finding=unrelated, remarked_cause=None)
     return decision
