@@ -115,6 +115,12 @@ class CandidateTest:
         return -float(np.sum(better, where=worse)) <= LEAST_SIGMA * self.gain and self.repeats
 
     @property
+    def has_plausible_links(self) -> bool:
+        """True if links of plausible size explain the efforts with the candidate undone."""
+        size = float(np.median(self.subject.sizes_of_links(self.fit)))
+        return 1.0 / MASS_FACTOR <= size <= MASS_FACTOR
+
+    @property
     def channel_gains(self) -> FloatArray:
         """Gain of each channel per sample [nats] ``(C,)``."""
         return np.asarray(np.log(self.subject.nominal.sigmas[self.candidate.sources] / self.fit.sigmas))
@@ -139,14 +145,14 @@ class FaultDecision:
 
     Attributes:
         count: number of causes that were tried.
-        sigmas: ``(C,)`` of the residuals with the finding undone, in standard deviations of the measured channels.
+        fit: evidence with the finding undone.
         remarked_cause: cause that is only remarked on, if it is probable.
         finding: what is wrong; None if nothing is.
         unconfirmed: causes that are probable, but not believed, the most probable first.
     """
 
     count: int
-    sigmas: FloatArray
+    fit: Evidence
     remarked_cause: Cause | None
     finding: RecordingFault | None = None
     unconfirmed: Sequence[CandidateTest] = ()
@@ -170,23 +176,24 @@ def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Fau
     unshared = [one for one in ordered if not one.candidate.may_be_named or not one.shares_joints(doubted)]
     likely = _most_probable(unshared, count)
     causes = [one for one in likely if one in probable][:1]
-    # Evidence that another cause is more probable overrules a settled one.
+    settled = [one for one in ordered if one.candidate.needs_no_evidence]
+    # Evidence that another cause is more probable overrules a settled one, unless links remain implausible.
+    if settled:
+        causes = [one for one in causes if one.has_plausible_links]
     contrary = max((one.gain for one in causes), default=-np.inf)
-    causes += [
-        one for one in ordered if one.candidate.needs_no_evidence and not is_probable(contrary - one.gain, count)
-    ]
+    causes += [one for one in settled if not is_probable(contrary - one.gain, count)]
     # A cause common to all joints precedes one for each.
     best = max(causes, key=lambda one: len(one.cause.places), default=None)
     level = next((one.cause for one in above if one.cause.settings and not one.candidate.may_be_named), None)
     if best is None:
-        return FaultDecision(count=count, sigmas=nominal.sigmas, remarked_cause=level, unconfirmed=doubted)
+        return FaultDecision(count=count, fit=nominal, remarked_cause=level, unconfirmed=doubted)
     if best not in likely:  # a settled cause needs no evidence: any that has some is its rival
         likely = [*{one.name: one for one in reversed(probable)}.values()]
-    rivals = [one for one in likely if one.name != best.name]
+    rivals = [one for one in likely if one.name != best.name and (not settled or one.has_plausible_links)]
     elsewhere = {one.cause.places for one in rivals if one.is_accepted} - {best.cause.places}
     sure = best.candidate.needs_no_evidence or len(elsewhere) <= 1
     finding = RecordingFault(cause=best.cause, sure=sure, rivals=tuple(one.cause for one in rivals) if sure else ())
-    return FaultDecision(count=count, sigmas=best.fit.sigmas, remarked_cause=level, finding=finding)
+    return FaultDecision(count=count, fit=best.fit, remarked_cause=level, finding=finding)
 
 
 def contradicted(doubted: Iterable[CandidateTest], count: int) -> list[Cause]:

@@ -287,6 +287,12 @@ class EffortData:
         """Evidence that nothing is wrong."""
         return self.evidence()
 
+    @cached_property
+    def of_friction(self) -> Evidence:
+        """Evidence that efforts are friction alone, and no links are felt."""
+        unknowns = Unknowns.of(np.zeros((*self.measured.shape, 0)), self.friction)
+        return evidence(self.measured / self.measured_std, unknowns, self.tolerated)
+
     def evidence(
         self, *, either_sign: BoolArray | bool = False, unknown: FloatArray | None = None, friction: bool = True
     ) -> Evidence:
@@ -348,6 +354,12 @@ class EffortData:
         """Slope of measured over predicted efforts, and their correlation, without friction ``(C,)``."""
         both = self.without_friction(np.stack([self.measured.T, self.predicted.T], axis=2))
         return _slopes(both[:, :, 0].T, both[:, :, 1].T)
+
+    def sizes_of_links(self, fit: Evidence) -> FloatArray:
+        """Slopes of the fitted links' efforts over the URDF's, at the joints that should feel most ``(k,)``."""
+        expected = np.std(self.predicted, axis=0)
+        main = expected > LEAST_SIGMA * largest_of_unit(expected, self.units)
+        return np.asarray(self.fitted_slopes(fit)[0][main])
 
     def fitted_slopes(self, fit: Evidence) -> tuple[FloatArray, FloatArray]:
         """Slope of the fitted links' efforts over the URDF's, and their correlation, which is zero where these links

@@ -10,11 +10,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import MASS_FACTOR, CandidateTest, FaultDecision, contradicted, decide
+from geomid_ros.checks.candidates import CandidateTest, FaultDecision, contradicted, decide
 from geomid_ros.checks.causes import MODEL, NOT_CHECKED, Cause, RecordingFault, as_faults
 from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.definite_faults import frozen_position, held_efforts, impossible_description, wrong_gains
-from geomid_ros.checks.effort_data import EffortData, is_measured, largest_of_unit
+from geomid_ros.checks.effort_data import EffortData, is_measured
 from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
 from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet, unnamed_feet
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples, RecentMotion, SampleReservoir
@@ -211,17 +211,11 @@ def _decided(subject: EffortData, continuous: bool) -> FaultDecision:
     timed = [*(changes(subject) if continuous else ()), *lags(subject)]
     tried = [CandidateTest(candidate, subject) for candidate in (*throughout, *timed)]
     decision = decide(tried, count + len(timed), subject.nominal)
-    if np.all(decision.sigmas > LARGEST_RESIDUAL) or (decision.finding is None and not _carries_links(subject)):
+    feels_none = decision.finding is None and subject.of_friction.log_evidence > subject.nominal.log_evidence
+    if feels_none or np.all(decision.fit.sigmas > LARGEST_RESIDUAL):
         unrelated = RecordingFault(cause=Cause.of("unrelated", subject.names))
         return replace(decision, finding=unrelated, remarked_cause=None)
     return decision
-
-
-def _carries_links(subject: EffortData) -> bool:
-    """True if a joint that should feel the URDF's links feels a plausible part of them, by the best fit."""
-    expected = np.std(subject.predicted, axis=0)
-    main = expected > LEAST_SIGMA * largest_of_unit(expected, subject.units)
-    return bool(np.any(subject.fitted_slopes(subject.nominal)[0][main] > 1.0 / MASS_FACTOR))
 
 
 def _unexplained(subject: EffortData) -> list[Cause]:

@@ -72,7 +72,8 @@ def _orders(subject: EffortData) -> Iterator[FaultCandidate]:
 
 
 def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
-    """Yield candidates for a motor that also delivers the effort of another joint, in either direction.
+    """Yield candidates for a motor that also delivers the effort of another joint, in either direction, where this
+    explains more than friction and inertia of a motor that turns both, which the model has.
 
     Only neighbours are named: sound recordings of some seconds may look like any pair.
     """
@@ -82,7 +83,28 @@ def _couplings(subject: EffortData) -> Iterator[FaultCandidate]:
                 matrix = np.eye(len(subject.joints))
                 matrix[joint, other] = sign
                 cause = Cause.of("coupled", [subject.names[joint], subject.names[other]], sign=word)
-                yield replace(_linear(matrix, cause), may_be_named=abs(joint - other) == 1)
+                linear = _linear(matrix, cause)
+                beyond = partial(_beyond_shared_motor, linear, pair)
+                yield replace(linear, fit_corrected=beyond, may_be_named=abs(joint - other) == 1)
+
+
+def _beyond_shared_motor(coupled: FaultCandidate, pair: tuple[int, int], subject: EffortData) -> Evidence:
+    """Evidence of a candidate beyond what a motor gains that turns the joints of a pair of channels."""
+    judged = coupled.evaluate(subject)
+    shared = max(subject.evidence(unknown=_of_shared_motor(subject, pair, ratio)).log_evidence for ratio in (1.0, -1.0))
+    return replace(judged, log_evidence=judged.log_evidence - max(shared - subject.nominal.log_evidence, 0.0))
+
+
+def _of_shared_motor(subject: EffortData, pair: tuple[int, int], ratio: float) -> FloatArray:
+    """Effort columns ``(N, C, 6)`` of friction and inertia of a motor that turns by ``q_1 + ratio q_2`` of a pair of
+    channels, at each of them, per prior standard deviation."""
+    speed, acceleration = (subject.friction[:, list(pair)][:, :, [1, -1]].transpose(2, 0, 1)) @ [1.0, ratio]
+    columns = np.column_stack([speed, np.sign(speed), acceleration])
+    columns *= 2.0 / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-6)
+    unknown = np.zeros((*subject.measured.shape, 2, 3))
+    for place, channel in enumerate(pair):
+        unknown[:, channel, place] = subject.measured_std[channel] * columns
+    return unknown.reshape(*subject.measured.shape, 6)
 
 
 def _frictions(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -168,12 +190,15 @@ def _gain(matrix: FloatArray, cause: Cause, settled: bool) -> FaultCandidate:
 
 def _common_factor(subject: EffortData) -> tuple[float, bool]:
     """Factor that makes all efforts those of the URDF, and True if it is certain without any evidence: if the fitted
-    links are all too light or too heavy by the same factor."""
+    links are all too light or too heavy by the same factor, or all implausibly light."""
     for slopes, correlations in (subject.slopes(), subject.fitted_slopes(subject.nominal)):
         sure = follows(correlations)
         if np.count_nonzero(sure) >= 2:
             factor = 1.0 / float(np.median(slopes[sure]))
             return factor, bool(np.median(np.abs(np.log(slopes[sure] * factor))) < np.log(MASS_FACTOR))
+    felt = subject.sizes_of_links(subject.nominal)
+    if len(felt) > 1 and np.all((felt > 0.0) & (felt < 1.0 / MASS_FACTOR)):
+        return 1.0 / float(np.median(felt)), True
     predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
     return float(np.median(predicted / subject.measured_std)), False
 

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.measured_data import DATA
@@ -88,3 +89,22 @@ def test_joints_of_another_name_are_refused() -> None:
 
 def test_the_data_are_there() -> None:
     assert all((DATA / Path(bag)).is_dir() for _, bag, _ in SOUND.values())
+
+
+def amperes(joints: int, seed: int) -> dict[str, float]:
+    """Factors of the joints of an arm whose motors' currents are sent."""
+    gains = np.random.default_rng(seed).uniform(8.0, 15.0, joints)
+    return {f"joint.joint{joint + 1}.effort_gain": float(1.0 / gain) for joint, gain in enumerate(gains)}
+
+
+@pytest.mark.parametrize(
+    ("urdf", "bag", "settings"),
+    [
+        ("kuka_kr300/kr300.urdf", "kuka_kr300/FF_B", {"effort_gain": 0.07}),  # hardly any joint follows its links
+        (*SOUND["tx40"][:2], {"effort_gain": 0.1}),  # a motor turns two joints
+        (AIRBOT, "airbot_play/chirp", amperes(6, 1)),  # doubled stamps explain more, but not such light links
+    ],
+)
+def test_another_unit_is_named_whatever_else_gains_by_it(urdf: str, bag: str, settings: Mapping[str, Any]) -> None:
+    kinds = [cause.kind for finding in findings(urdf, bag, settings) for cause in (finding.cause, *finding.rivals)]
+    assert kinds[:1] == ["gain"]

@@ -78,3 +78,13 @@ def test_what_is_wrong_with_a_bag_that_is_judged_on_is_a_remark(tmp_path: Path) 
     alone = Session(sound.urdf, Configuration({}), "arm3.urdf")
     read_bags(alone, Bags(fitted=[wrong]), lambda _: None)
     assert [finding.cause.kind for finding in alone.review.findings] == ["sign"]
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.1])
+def test_friction_of_a_motor_that_turns_two_joints_is_no_coupling_of_their_efforts(gain: float) -> None:
+    """The robot has it in every recording; another unit is named all the same."""
+    seven = case("arm7", 2)
+    shaft, effort = seven.samples.velocity[:, 5:] @ [1.0, 1.0], seven.samples.effort.copy()
+    effort[:, 5:] += 2.0 * np.max(np.std(effort[:, 5:], axis=0)) * np.tanh(shaft / 0.01)[:, None]
+    said = findings(seven.model, replace(seven.samples, effort=gain * effort))
+    assert [finding.cause.kind for finding in said] == ([] if gain == 1.0 else ["gain"])
