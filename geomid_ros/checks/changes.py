@@ -16,7 +16,7 @@ import numpy as np
 from geomid_ros.checks.candidates import MASS_FACTOR, STEP, TILT, FaultCandidate
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
 from geomid_ros.checks.effort_data import STRETCHES, EffortData, EvidenceGain, by_channel, moving
-from geomid_ros.checks.evidence import MOST, PRIOR_STD, Evidence, evidence, payload_factor
+from geomid_ros.checks.evidence import LEAST_SIGMA, MOST, PRIOR_STD, Evidence, evidence, payload_factor
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.model.samples import SIGN, SMOOTH_SIGN
@@ -276,7 +276,8 @@ def _late(subject: EffortData, late: BoolArray, lag: float) -> FaultCandidate:
 
 def _undone(subject: EffortData, earlier: EffortData) -> Evidence:
     """Evaluate a subject by how much better its efforts are those of an ``earlier`` motion, where each joint moves the
-    same way in both. Any residual is credible: errors of links are not late."""
+    same way in both. Any residual tells a lag, as errors of links are not late, but channels with little are not worse.
+    """
     ways = [np.sign(of.friction[:, :, 1]) * moving(of.friction[:, :, 1]) for of in (subject, earlier)]
     counted = np.where(ways[0] == ways[1], np.abs(ways[0]), 0.0)
     at_once, late = (
@@ -285,10 +286,9 @@ def _undone(subject: EffortData, earlier: EffortData) -> Evidence:
     )
     instants = float(np.mean(np.maximum(np.sum(counted, axis=0), FEWEST)))
     gain = (late.log_evidence - at_once.log_evidence) * len(subject.samples) / instants
+    ratios = np.maximum(late.sigmas, LEAST_SIGMA) / np.maximum(at_once.sigmas, LEAST_SIGMA)
     nominal = subject.nominal
-    return replace(
-        nominal, log_evidence=nominal.log_evidence + gain, sigmas=nominal.sigmas * late.sigmas / at_once.sigmas
-    )
+    return replace(nominal, log_evidence=nominal.log_evidence + gain, sigmas=nominal.sigmas * ratios)
 
 
 def _in_earlier_motion(subject: EffortData, lag: float) -> EffortData:
