@@ -15,11 +15,10 @@ import numpy as np
 
 from geomid_ros.checks.candidates import MASS_FACTOR, STEP, TILT, FaultCandidate
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.effort_data import STRETCHES, EffortData, EvidenceGain, by_channel
-from geomid_ros.checks.evidence import MOST, PRIOR_STD, Evidence, payload_factor
+from geomid_ros.checks.effort_data import STRETCHES, EffortData, EvidenceGain, by_channel, moving
+from geomid_ros.checks.evidence import LEAST_SIGMA, MOST, PRIOR_STD, Evidence, evidence, payload_factor
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import STDS_OF_95
-from geomid_ros.model.samples import SIGN, SMOOTH_SIGN
 from geomid_ros.types import BoolArray, FloatArray
 
 _PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # fractions of the recording at which a change may begin
@@ -223,7 +222,8 @@ def _switched(recording: EffortData, place: float, factor: float) -> Evidence:
 def lags(subject: EffortData) -> Iterator[FaultCandidate]:
     """Yield delays of the efforts against the motion: of all, and of the one that promises most.
 
-    Efforts that come late are those of an earlier motion, to which links, friction and rotors are fitted.
+    Efforts that come late are those of an earlier motion. Friction turns about late by itself, too, so that joints tell
+    a lag only while they move one way.
     """
     earlier = cache(partial(_in_earlier_motion, subject))
     every = np.ones(len(subject.joints), dtype=bool)
@@ -253,7 +253,7 @@ def _most_probable_lag(
     found, best = {0: subject.nominal.log_evidence}, 0
     while True:
         for step in {best - 1, best + 1} - {*found}:
-            found[step] = _with_late(subject, late, earlier(step * _LEAST_LAG)).nominal.log_evidence
+            found[step] = _undone(subject, _with_late(subject, late, earlier(step * _LEAST_LAG))).log_evidence
         best, previous = max(found, key=lambda step: found[step]), best
         if best == previous or abs(best) * _LEAST_LAG > _MOST_LAG:
             break
@@ -268,26 +268,39 @@ def _late(subject: EffortData, late: BoolArray, lag: float) -> FaultCandidate:
     time = f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}"
     sizes = f"all are about {time}" if np.all(late) else f"that of '{names[0]}' about {time}"
     cause = Cause.of("late", names, sizes=sizes)
-    return FaultCandidate(corrected=lambda of: _with_late(of, late, _in_earlier_motion(of, lag)), cause=cause)
+    return FaultCandidate(
+        fit_corrected=lambda of: _undone(of, _with_late(of, late, _in_earlier_motion(of, lag))), cause=cause
+    )
+
+
+def _undone(subject: EffortData, earlier: EffortData) -> Evidence:
+    """Evaluate a subject by how much better its efforts are those of an ``earlier`` motion, where each joint moves the
+    same way in both. Any residual tells a lag, as errors of links are not late, but channels with little are not worse.
+    """
+    ways = [np.sign(of.friction[:, :, 1]) * moving(of.friction[:, :, 1]) for of in (subject, earlier)]
+    counted = np.where(ways[0] == ways[1], np.abs(ways[0]), 0.0)
+    at_once, late = (
+        evidence(of.target, of.unknowns, of.tolerated, units=of.measured_std, counted=counted, least=0.0)
+        for of in (subject, earlier)
+    )
+    instants = float(np.mean(np.maximum(np.sum(counted, axis=0), FEWEST)))
+    gain = (late.log_evidence - at_once.log_evidence) * len(subject.samples) / instants
+    ratios = np.maximum(late.sigmas, LEAST_SIGMA) / np.maximum(at_once.sigmas, LEAST_SIGMA)
+    nominal = subject.nominal
+    return replace(nominal, log_evidence=nominal.log_evidence + gain, sigmas=nominal.sigmas * ratios)
 
 
 def _in_earlier_motion(subject: EffortData, lag: float) -> EffortData:
-    """Subject in the motion that was a ``lag`` [s] earlier."""
+    """Subject in the motion that was a ``lag`` [s] earlier, in which joints turned about when they do."""
     samples, later = subject.samples, subject.next_samples
     times = 1e-9 * (later.stamps - samples.stamps)[:, None]
     change = later.acceleration - samples.acceleration
     jerk = np.divide(change, times, out=np.zeros_like(change), where=times > 0.0)
-    velocity = samples.velocity - lag * samples.acceleration + lag**2 / 2.0 * jerk
-    effects = samples.effects.copy()
-    for column in (candidate for candidate in (SIGN, SMOOTH_SIGN) if candidate in samples.entries):
-        signs = [samples.entries.at(column, joint) for joint in range(velocity.shape[1])]
-        effects[:, signs] = np.copysign(effects[:, signs], velocity)
     earlier = replace(
         samples,
         position=samples.position - lag * samples.velocity + lag**2 / 2.0 * samples.acceleration - lag**3 / 6.0 * jerk,
-        velocity=velocity,
+        velocity=samples.velocity - lag * samples.acceleration + lag**2 / 2.0 * jerk,
         acceleration=samples.acceleration - lag * jerk,
-        effects=effects,
     )
     return subject.with_samples(earlier)
 

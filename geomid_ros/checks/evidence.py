@@ -150,6 +150,7 @@ def evidence(
     units: FloatArray | float = 1.0,
     counted: FloatArray | None = None,
     either_sign: BoolArray | bool = False,
+    least: float = LEAST_SIGMA,
 ) -> Evidence:
     """Compute the evidence of a hypothesis.
 
@@ -160,6 +161,7 @@ def evidence(
         tolerated: ``(C, k)`` prior standard deviations of the coefficients: about what explains all of a channel.
         counted: ``(N, C)`` 1 for the samples that count at a channel, 0 for others; None if all do.
         either_sign: True if viscous and dry friction may be negative, of all channels or of each ``(C,)``.
+        least: smallest credible residual.
     """
     counts = np.full(target.shape[1], float(len(target)))
     if counted is not None:
@@ -174,7 +176,7 @@ def evidence(
     fixed, unknown = np.zeros(len(precision), dtype=bool), np.arange(len(precision))  # none is fixed at zero yet
     sigmas = np.full(len(tolerated), 0.5)
     # If efforts are tiny relative to the links' prediction, sums of squares are rounding errors.
-    least = max(LEAST_SIGMA**2, float(np.finfo(float).eps * np.max(sums.targets / counts)))
+    least = max(least**2, float(np.finfo(float).eps * np.max(sums.targets / counts)))
     for _ in range(ROUNDS):
         total = sums.weighed(sigmas**-2.0)
         total[unknown, unknown] += precision
