@@ -167,27 +167,15 @@ class ResidualObjective(_WeightedObjective):
     above all large masses: if all parameters are scaled, a row's residual grows in proportion, but the distance to its
     hyperplane does not. It depends on the rows only through their least-squares content, so that compressed rows lose
     nothing.
-
-    Attributes:
-        known: Number of rows, the last ones, that were not measured, see :func:`products_at`.
     """
-
-    known: int = field(default=0, kw_only=True)
 
     @cached_property
     def _augmented(self) -> FloatArray:
-        measured = slice(len(self.rows) - self.known)
-        return np.column_stack([self.rows[measured], self.targets[measured]]) / self.sigmas[measured, None]
-
-    @cached_property
-    def _known_products(self) -> FloatArray:
-        known = slice(len(self.rows) - self.known, None)
-        rows, targets, sigmas = self.rows[known], self.targets[known], self.sigmas[known]
-        return products_at(self.manifold, self.prior, rows / sigmas[:, None], targets / sigmas)
+        return np.column_stack([self.rows, self.targets]) / self.sigmas[:, None]
 
     @cached_property
     def products(self) -> FloatArray:
-        """Gram matrix ``(D + 1, D + 1)`` of the columns ``[A b]`` of measured rows of standard deviation 1."""
+        """Gram matrix ``(D + 1, D + 1)`` of the columns ``[A b]`` of rows of standard deviation 1."""
         return self._augmented.T @ self._augmented
 
     @cached_property
@@ -209,7 +197,7 @@ class ResidualObjective(_WeightedObjective):
         residuals = self._augmented @ np.append(point.parameters, -1.0)
         value, slope = 0.5 * float(residuals @ residuals), residuals @ self._augmented
         rows = value, slope[:-1], self.products
-        return with_prior(self.manifold, point, self.prior, self.prior_weights, rows, self._known_products)
+        return with_prior(self.manifold, point, self.prior, self.prior_weights, rows, None)
 
 
 @dataclass(frozen=True, eq=False)
