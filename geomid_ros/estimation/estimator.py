@@ -115,7 +115,7 @@ def estimate(
 ) -> Estimate:
     """Choose the optional effects, and solve for all parameters from the summarised rows.
 
-    Minimises :class:`ProductsObjective` on the summarised rows, with the noise and the prior weight that
+    Minimises :class:`ResidualObjective` on the summarised rows, with the noise and the prior weight that
     :func:`fit` finds. If requested, minimises (19) from there, with the same noise and prior weight.
 
     Args:

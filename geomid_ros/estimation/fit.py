@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from geomid_ros.estimation.objective import Evaluation, ProductsObjective
+from geomid_ros.estimation.objective import Evaluation, ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
@@ -83,7 +83,7 @@ class Fit:
         return self.problem.summary.compressed(self.sigmas, self.problem.manifold.dimension)
 
     @cached_property
-    def objective(self) -> ProductsObjective:
+    def objective(self) -> ResidualObjective:
         """Objective with the noise and the prior weights that the search found."""
         return _objective(self.problem, self.sigmas, self.prior_stds)
 
@@ -224,14 +224,14 @@ def with_second_start(solve: Callable[..., Fit], other: Point, prior_stds: Float
     return best
 
 
-def _objective(problem: Problem, sigmas: FloatArray, prior_stds: FloatArray) -> ProductsObjective:
+def _objective(problem: Problem, sigmas: FloatArray, prior_stds: FloatArray) -> ResidualObjective:
     """Build the objective for this noise and these prior stds of the links."""
     precisions = sigmas**-2.0
     products = problem.products.weighed(precisions)
     measured = float(precisions @ problem.row_weights)
     weights = _prior_weights(problem, prior_stds, measured)
     rows = measured + problem.known_weight
-    return ProductsObjective(problem.manifold, products, problem.prior_point, weights, rows, problem.known_products)
+    return ResidualObjective(problem.manifold, products, problem.prior_point, weights, rows, problem.known_products)
 
 
 def _prior_weights(problem: Problem, prior_stds: FloatArray, measured: float) -> FloatArray:
@@ -250,13 +250,13 @@ def _all_prior_stds(problem: Problem, prior_stds: FloatArray) -> FloatArray:
     return all_stds
 
 
-def _gradient(objective: ProductsObjective, tolerance: float) -> float:
+def _gradient(objective: ResidualObjective, tolerance: float) -> float:
     """Relative gradient at which the solver stops. The prior bounds the curvature from below: a gradient of
     ``tolerance`` times its weight is at most that far from the minimum."""
     return max(tolerance * min(float(np.min(objective.prior_weights)) / objective.scale, 1.0), LEAST_GRADIENT)
 
 
-def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution) -> FloatArray:
+def _spreads(problem: Problem, objective: ResidualObjective, solution: Solution) -> FloatArray:
     """MacKay's re-estimate of the prior std of each link (:func:`reestimated_prior_stds`)."""
     manifold = problem.manifold
     links = manifold.inertial
