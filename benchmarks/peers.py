@@ -173,7 +173,7 @@ def residual(problem: Problem, weight: float) -> FloatArray:
     """Remark 3: squared residuals and the squared geodesic distance to the prior."""
     rows, targets = _compressed(problem)
     start = problem.prior_point
-    objective = ResidualObjective(problem.manifold, rows, targets, np.ones(len(rows)), start, weight)
+    objective = ResidualObjective.of(problem.manifold, rows, targets, start, weight)
     return trust_region(objective, start, _TOLERANCE, max_steps=300).point.parameters
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -133,11 +133,9 @@ def _distance_to_batch(streamed: FloatArray) -> tuple[float, float]:
     sigmas = np.resize(identifier.solve().sigmas, sum(map(len, targets)))
     rows = np.concatenate(coefficients)
     rows /= sigmas[:, None]
-    confidence = (DEFAULT_PRIOR_STD / default_prior_stds(manifold)) ** 2
-    ones = np.ones(len(rows))
-    objective = ResidualObjective(
-        manifold, rows, np.concatenate(targets) / sigmas, ones, prior, PAPER, confidence=confidence
-    )
+    objective = ResidualObjective.of(manifold, rows, np.concatenate(targets) / sigmas, prior, PAPER)
+    relative = (DEFAULT_PRIOR_STD / default_prior_stds(manifold)) ** 2
+    objective = replace(objective, prior_weights=objective.prior_weights * relative)
     found = trust_region(objective, prior, _SETTINGS.tolerance * PAPER, _SETTINGS.max_steps)
     return manifold.distance(manifold.point(streamed), found.point), resident("VmHWM")
 

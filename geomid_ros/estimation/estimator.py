@@ -17,7 +17,7 @@ from geomid_ros.estimation.effect_selection import Choice, choose, file_fit, fit
 from geomid_ros.estimation.estimate import WITHIN, EffectEstimate, Estimate
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
-from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.objective import GeodesicObjective, row_weights
 from geomid_ros.estimation.paper_estimator import OBJECTIVES
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import effect_columns
@@ -115,7 +115,7 @@ def estimate(
 ) -> Estimate:
     """Choose the optional effects, and solve for all parameters from the summarised rows.
 
-    Minimises :class:`ResidualObjective` on the compressed rows (at most D), with the noise and the prior weight that
+    Minimises :class:`ResidualObjective` on the summarised rows, with the noise and the prior weight that
     :func:`fit` finds. If requested, minimises (19) from there, with the same noise and prior weight.
 
     Args:
@@ -284,11 +284,11 @@ class _Minimum:
 
 def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
     """Return the minimum that a fit leads to, and its errors."""
-    problem, objective, solution = fitted.problem, fitted.objective, fitted.solution
+    problem, solution = fitted.problem, fitted.solution
     manifold, summary, known = problem.manifold, problem.summary, problem.known
-    prior_weights, set_aside = objective.prior_weights, 0
+    prior_weights, set_aside = fitted.objective.prior_weights, 0
     if settings.objective == "geodesic":
-        geodesic = _geodesic_objective(objective)
+        geodesic = _geodesic_objective(fitted)
         set_aside = int(np.count_nonzero(geodesic.set_aside))
         prior_weights = geodesic.prior_weights
         tolerance = max(settings.tolerance * float(np.min(prior_weights)) / geodesic.scale, np.finfo(float).eps)
@@ -430,8 +430,8 @@ def _known_sigmas(model: MeasurementModel, settings: EstimatorSettings, summary:
     return np.where(still & np.isnan(configured), common, configured)
 
 
-def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
-    """Build (19) for the same rows, combined orthogonally so that each has a similar fraction of their information.
+def _geodesic_objective(fitted: Fit) -> GeodesicObjective:
+    """Build (19) for the rows of a fit, combined orthogonally so that each has a similar fraction of their information.
 
     Least squares does not depend on how rows are combined, but distances to hyperplanes do. A row with little
     information and as much noise as the others has no projection. The combination starts from the principal directions
@@ -439,16 +439,21 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     """
     from scipy.fft import dct  # noqa: PLC0415 of this objective alone
 
-    manifold, prior = objective.manifold, objective.prior
-    directions, values, _ = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)
+    problem, weights = fitted.problem, fitted.objective.prior_weights
+    manifold, prior, factor = problem.manifold, problem.prior_point, np.sqrt(1.0 / problem.independent_fraction)
+    rows, targets = (
+        np.concatenate([measured, factor * known])
+        for measured, known in zip(fitted.rows, (problem.known.rows, problem.known.targets), strict=True)
+    )
+    link_weight = float(np.exp(np.mean(np.log(weights[manifold.inertial]))))
+    gamma = link_weight / float(np.sum(row_weights(manifold, prior, rows)))
+    directions, values, _ = np.linalg.svd(manifold.whiten(prior, rows), full_matrices=False)
     directions = directions.T[values >= ROUNDING * values[0]]  # others are parts that no parameters change
-    residuals = directions @ (objective.rows @ prior.parameters - objective.targets)
+    residuals = directions @ (rows @ prior.parameters - targets)
     signs = np.where(residuals < 0.0, -1.0, 1.0) * np.random.default_rng(0).choice((-1.0, 1.0), len(directions))
     mixing = dct(signs[:, None] * directions, axis=0, norm="ortho")
-    rows, targets = mixing @ objective.rows, mixing @ objective.targets
-    return GeodesicObjective(
-        manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma, confidence=objective.confidence
-    )
+    ones, confidence = np.ones(len(directions)), weights / link_weight
+    return GeodesicObjective(manifold, mixing @ rows, mixing @ targets, ones, prior, gamma, confidence=confidence)
 
 
 def _known_at(manifold: ParameterManifold, point: Point, known: WeighedRows) -> uncertainty.Fold:

@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from geomid_ros.estimation.objective import Evaluation, ProductsObjective, ResidualObjective, row_weights
+from geomid_ros.estimation.objective import Evaluation, ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
@@ -62,7 +62,7 @@ class Fit:
 
     Attributes:
         problem: the fitted problem.
-        search_point: end of the search, which uses products of the rows.
+        search_point: end of the search.
         sigmas: standard deviations ``(groups,)``.
         prior_stds: prior std of each link ``(links,)``, geodesic distances.
         budget_exhausted: True if the search ended before it settled, because its steps or rounds were used up.
@@ -85,11 +85,11 @@ class Fit:
     @cached_property
     def objective(self) -> ResidualObjective:
         """Objective with the noise and the prior weights that the search found."""
-        return _objective(self.problem, self.rows, self.prior_stds)
+        return _objective(self.problem, self.sigmas, self.prior_stds)
 
     @cached_property
     def solution(self) -> Solution:
-        """Minimum of :attr:`objective`, computed from the rows themselves instead of their products."""
+        """Minimum of :attr:`objective`."""
         return trust_region(
             self.objective, self.search_point, _gradient(self.objective, self.tolerance), self.max_steps
         )
@@ -97,7 +97,8 @@ class Fit:
     @property
     def gamma(self) -> float:
         """Weight of the links' prior as a fraction of the measured rows' weight."""
-        return self.problem.gamma or self.objective.prior_weight / _measured_weight(self.problem, self.rows)
+        links, measured = self.problem.manifold.inertial, float(self.sigmas**-2.0 @ self.problem.row_weights)
+        return self.problem.gamma or float(np.exp(np.mean(np.log(self.objective.prior_weights[links])))) / measured
 
     @property
     def point(self) -> Point:
@@ -115,18 +116,14 @@ class Fit:
         return _all_prior_stds(self.problem, self.prior_stds)
 
     @cached_property
-    def _rough(self) -> ProductsObjective:
-        return _rough(self.problem, self.sigmas, self.prior_stds)
-
-    @cached_property
     def _evaluation(self) -> Evaluation:
-        return self._rough.evaluate(self.search_point)
+        return self.objective.evaluate(self.search_point)
 
     @cached_property
     def information(self) -> FloatArray:
         """Information ``(D, D)`` of the independent rows and of the prior, in tangent coordinates at
         :attr:`search_point`."""
-        weights = np.diag(self._rough.prior_weights)
+        weights = np.diag(self.objective.prior_weights)
         return np.asarray(self.problem.independent_fraction * (self._evaluation.information + weights))
 
     @cached_property
@@ -138,7 +135,7 @@ class Fit:
         likelihood = (
             2.0 * problem.independent_fraction * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
         )
-        widths = float(np.sum(np.log(problem.independent_fraction * self._rough.prior_weights)))
+        widths = float(np.sum(np.log(problem.independent_fraction * self.objective.prior_weights)))
         return likelihood + volume - widths + prior_std_cost(self.prior_stds, problem.default_stds)
 
 
@@ -179,13 +176,14 @@ def fit(
     # Near its fixed point the iteration is linear: it can be extrapolated, and one solver step per round is enough.
     extrapolation, steps = None if start is None else Extrapolation(), 0
     for _ in range(ROUNDS):
-        rough = _rough(problem, sigmas, prior_stds)
-        solution = trust_region(rough, point, _gradient(rough, tolerance), max_steps if extrapolation is None else 1)
+        objective = _objective(problem, sigmas, prior_stds)
+        most = max_steps if extrapolation is None else 1
+        solution = trust_region(objective, point, _gradient(objective, tolerance), most)
         point, steps = solution.point, steps + solution.steps
         before = np.log(np.concatenate([sigmas, prior_stds]))
         sigmas = problem.noise(point.parameters)
         if problem.gamma is None:
-            prior_stds = _spreads(problem, rough, solution)
+            prior_stds = _spreads(problem, objective, solution)
         found = Fit(
             problem=problem,
             search_point=point,
@@ -226,14 +224,14 @@ def with_second_start(solve: Callable[..., Fit], other: Point, prior_stds: Float
     return best
 
 
-def _rough(problem: Problem, sigmas: FloatArray, prior_stds: FloatArray) -> ProductsObjective:
-    """Build the objective for this noise and these prior stds of the links; the search for both uses it."""
+def _objective(problem: Problem, sigmas: FloatArray, prior_stds: FloatArray) -> ResidualObjective:
+    """Build the objective for this noise and these prior stds of the links."""
     precisions = sigmas**-2.0
     products = problem.products.weighed(precisions)
     measured = float(precisions @ problem.row_weights)
     weights = _prior_weights(problem, prior_stds, measured)
     rows = measured + problem.known_weight
-    return ProductsObjective(problem.manifold, products, problem.prior_point, weights, rows, problem.known_products)
+    return ResidualObjective(problem.manifold, products, problem.prior_point, weights, rows, problem.known_products)
 
 
 def _prior_weights(problem: Problem, prior_stds: FloatArray, measured: float) -> FloatArray:
@@ -252,32 +250,13 @@ def _all_prior_stds(problem: Problem, prior_stds: FloatArray) -> FloatArray:
     return all_stds
 
 
-def _gradient(objective: ResidualObjective | ProductsObjective, tolerance: float) -> float:
+def _gradient(objective: ResidualObjective, tolerance: float) -> float:
     """Relative gradient at which the solver stops. The prior bounds the curvature from below: a gradient of
     ``tolerance`` times its weight is at most that far from the minimum."""
     return max(tolerance * min(float(np.min(objective.prior_weights)) / objective.scale, 1.0), LEAST_GRADIENT)
 
 
-def _objective(problem: Problem, measured: tuple[FloatArray, FloatArray], prior_stds: FloatArray) -> ResidualObjective:
-    """Build the objective for these rows and these prior stds of the links."""
-    manifold, prior = problem.manifold, problem.prior_point
-    weights = _prior_weights(problem, prior_stds, _measured_weight(problem, measured))
-    factor = np.sqrt(max(1.0, 1.0 / problem.independent_fraction))
-    rows = np.concatenate([measured[0], factor * problem.known.rows])
-    targets = np.concatenate([measured[1], factor * problem.known.targets])
-    link_weight = float(np.exp(np.mean(np.log(weights[manifold.inertial]))))
-    rows_weight = float(np.sum(row_weights(manifold, prior, rows)))
-    gamma, ones = max(link_weight / rows_weight, np.finfo(float).tiny), np.ones(len(rows))
-    known, confidence = len(problem.known.rows), weights / link_weight
-    return ResidualObjective(manifold, rows, targets, ones, prior, gamma, confidence=confidence, known=known)
-
-
-def _measured_weight(problem: Problem, measured: tuple[FloatArray, FloatArray]) -> float:
-    """Sum of the measured rows' weights."""
-    return float(np.sum(row_weights(problem.manifold, problem.prior_point, measured[0])))
-
-
-def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution) -> FloatArray:
+def _spreads(problem: Problem, objective: ResidualObjective, solution: Solution) -> FloatArray:
     """MacKay's re-estimate of the prior std of each link (:func:`reestimated_prior_stds`)."""
     manifold = problem.manifold
     links = manifold.inertial

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -55,8 +54,8 @@ class Objective(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class _WeightedObjective(ABC):
-    """Base of the two objectives.
+class GeodesicObjective:
+    """Objective (19); a row whose hyperplane has no projection from the prior is set aside.
 
     Attributes:
         manifold: Manifold of the parameters.
@@ -72,21 +71,12 @@ class _WeightedObjective(ABC):
     sigmas: FloatArray
     prior: Point
     gamma: float
-    confidence: FloatArray | float = field(default=1.0, kw_only=True)
-
-    @property
-    @abstractmethod
-    def prior_weight(self) -> float:
-        """Factor of the squared distance to the prior."""
+    confidence: FloatArray | float = 1.0
 
     @cached_property
     def prior_weights(self) -> FloatArray:
         """Factor of the squared distance to the prior per coordinate ``(D,)``."""
         return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
-
-
-class GeodesicObjective(_WeightedObjective):
-    """Objective (19); a row whose hyperplane has no projection from the prior is set aside."""
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -159,67 +149,19 @@ class GeodesicObjective(_WeightedObjective):
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualObjective(_WeightedObjective):
+class ResidualObjective:
     """Remark 3: ``sum (a_i . parameters - b_i)^2 / sigma_i^2 + gamma sum(w) d(Phi, Phi_0)^2``, weights as in (19).
 
     Near the prior, and where residuals are small against the measured values, it agrees with (19) to first order. Far
     from there it differs in two ways. It has no rows to set aside. And it does not reward what makes distances short,
     above all large masses: if all parameters are scaled, a row's residual grows in proportion, but the distance to its
-    hyperplane does not. It depends on the rows only through their least-squares content, so that compressed rows lose
-    nothing.
+    hyperplane does not. It depends on the rows only through their products: an evaluation costs no more for many rows
+    than for few, but its rounding grows with the square of the rows' condition number.
 
     Attributes:
-        known: Number of rows, the last ones, that were not measured, see :func:`products_at`.
-    """
-
-    known: int = field(default=0, kw_only=True)
-
-    @cached_property
-    def _augmented(self) -> FloatArray:
-        measured = slice(len(self.rows) - self.known)
-        return np.column_stack([self.rows[measured], self.targets[measured]]) / self.sigmas[measured, None]
-
-    @cached_property
-    def _known_products(self) -> FloatArray:
-        known = slice(len(self.rows) - self.known, None)
-        rows, targets, sigmas = self.rows[known], self.targets[known], self.sigmas[known]
-        return products_at(self.manifold, self.prior, rows / sigmas[:, None], targets / sigmas)
-
-    @cached_property
-    def products(self) -> FloatArray:
-        """Gram matrix ``(D + 1, D + 1)`` of the columns ``[A b]`` of measured rows of standard deviation 1."""
-        return self._augmented.T @ self._augmented
-
-    @cached_property
-    def scale(self) -> float:
-        """Sum of all weights."""
-        return (1.0 + self.gamma) * float(np.sum(row_weights(self.manifold, self.prior, self.rows, self.sigmas)))
-
-    @cached_property
-    def prior_weight(self) -> float:
-        """Factor of the squared distance to the prior."""
-        return self.gamma / (1.0 + self.gamma) * self.scale
-
-    def step(self, point: Point, tangent: FloatArray) -> Point:
-        """End of a straight step, along which the rows' part is exactly quadratic."""
-        return self.manifold.straight(point, tangent)
-
-    def evaluate(self, point: Point) -> Evaluation:
-        """Return half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
-        residuals = self._augmented @ np.append(point.parameters, -1.0)
-        value, slope = 0.5 * float(residuals @ residuals), residuals @ self._augmented
-        rows = value, slope[:-1], self.products
-        return with_prior(self.manifold, point, self.prior, self.prior_weights, rows, self._known_products)
-
-
-@dataclass(frozen=True, eq=False)
-class ProductsObjective:
-    """Remark 3 from products alone: an evaluation costs no more for many rows than for few, but its rounding grows with
-    the square of the rows' condition number.
-
-    Attributes:
-        manifold, prior: See :class:`ResidualObjective`.
+        manifold: Manifold of the parameters.
         products: Gram matrix ``(D + 1, D + 1)`` of the columns ``[A b]``, of rows of standard deviation 1.
+        prior: The point that distances are measured from.
         prior_weights: ``(D,)``, the factors of the squared distance to the prior.
         rows_weight: Sum of the rows' weights (Remark 2).
         known: Products of the known rows, see :func:`products_at`.
@@ -232,17 +174,28 @@ class ProductsObjective:
     rows_weight: float
     known: FloatArray | None = None
 
+    @staticmethod
+    def of(
+        manifold: ParameterManifold, rows: FloatArray, targets: FloatArray, prior: Point, gamma: float
+    ) -> ResidualObjective:
+        """Build from ``rows (N, D)`` and ``targets (N,)`` of standard deviation 1; ``gamma``: weight of the prior as a
+        fraction of the sum of the rows' weights."""
+        augmented = np.column_stack([rows, targets])
+        weight = float(np.sum(row_weights(manifold, prior, rows)))
+        weights = np.full(manifold.dimension, gamma * weight)
+        return ResidualObjective(manifold, augmented.T @ augmented, prior, weights, weight)
+
     @property
     def scale(self) -> float:
         """Sum of the rows' weights and the mean weight of the prior."""
         return self.rows_weight + float(np.mean(self.prior_weights))
 
     def step(self, point: Point, tangent: FloatArray) -> Point:
-        """End of a straight step."""
+        """End of a straight step, along which the rows' part is exactly quadratic."""
         return self.manifold.straight(point, tangent)
 
     def evaluate(self, point: Point) -> Evaluation:
-        """See :meth:`ResidualObjective.evaluate`."""
+        """Return half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
         vector = np.append(point.parameters, -1.0)
         moved = self.products @ vector
         rows = 0.5 * float(vector @ moved), moved[:-1], self.products

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.channel_products import triangular
-from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective, dual_metric
+from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
@@ -93,25 +93,24 @@ def solve_rows(
     _check(rows, targets, sigmas, prior)
     if gamma is not None and not 0.0 < gamma < np.inf:
         raise InputError(f"gamma is {gamma:g}, expected a number greater than zero")
-    sigmas = np.broadcast_to(sigmas, targets.shape)
+    rows, targets = rows / np.expand_dims(np.broadcast_to(sigmas, targets.shape), 1), targets / sigmas
     for kind, name, valid in (("objective", objective, OBJECTIVES), ("solver", solver, SOLVERS)):
         if name not in valid:
             raise unknown_name(kind, name, valid)
     manifold = ParameterManifold(len(prior), 0, np.zeros(0))
     start = manifold.point(prior.ravel())
     if gamma is None:
-        gamma = choose_gamma(manifold, rows / sigmas[:, None], targets / sigmas, start, objective, exact=exact)
+        gamma = choose_gamma(manifold, rows, targets, start, objective, exact=exact)
     # The prior bounds the curvature from below, so that this gradient keeps the result within the tolerance.
     gradient = max(tolerance * gamma / (1.0 + gamma), LEAST_GRADIENT)
     set_aside = np.zeros(len(rows), dtype=bool)
     if objective == "residual":
-        residual = ResidualObjective(manifold, rows, targets, sigmas, start, gamma)
-        solution = trust_region(residual, _minimiser_of_remark_3(residual), gradient, max_steps)
+        residual = ResidualObjective.of(manifold, rows, targets, start, gamma)
+        solution = trust_region(residual, start, gradient, max_steps, radius=_RADIUS)
     else:
         if not exact and len(rows) > manifold.dimension:
-            rows, targets = principal_rows(manifold, start, np.column_stack([rows, targets]) / sigmas[:, None])
-            sigmas = np.ones(len(rows))
-        geodesic = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
+            rows, targets = principal_rows(manifold, start, np.column_stack([rows, targets]))
+        geodesic = GeodesicObjective(manifold, rows, targets, np.ones(len(rows)), start, gamma)
         set_aside = geodesic.set_aside
         solve = _from_remark_3 if solver == "trust_region" else SOLVERS[solver]
         solution = solve(geodesic, start, gradient, max_steps)
@@ -180,7 +179,6 @@ def held_out_losses(
     so that a block that cannot be predicted at all counts.
     """
     blocks = np.array_split(np.column_stack([rows, targets]), _BLOCKS)
-    kind = ResidualObjective if objective == "residual" else GeodesicObjective
     if not exact:
         blocks = [triangular(block) for block in blocks]
     fitted = [np.concatenate([*blocks[:index], *blocks[index + 1 :]]) for index in range(_BLOCKS)]
@@ -190,7 +188,12 @@ def held_out_losses(
     for gamma in _GRID:
         loss = 0.0
         for index, (held_out, others) in enumerate(zip(blocks, fitted, strict=True)):
-            minimised = kind(manifold, others[:, :-1], others[:, -1], np.ones(len(others)), prior, gamma)
+            rows, targets = others[:, :-1], others[:, -1]
+            minimised = (
+                ResidualObjective.of(manifold, rows, targets, prior, gamma)
+                if objective == "residual"
+                else GeodesicObjective(manifold, rows, targets, np.ones(len(rows)), prior, gamma)
+            )
             points[index] = trust_region(minimised, points[index], _START_TOLERANCE * gamma).point
             loss += float(np.sum((held_out @ np.append(points[index].parameters, -1.0)) ** 2))
         yield loss
@@ -214,21 +217,13 @@ def best_weight(losses: Sequence[float]) -> float:
 
 def _from_remark_3(objective: GeodesicObjective, start: Point, tolerance: float, max_steps: int) -> Solution:
     """Solve by the trust region from the minimiser of Remark 3, or from ``start``, the prior, if that is lower."""
-    rows, targets, sigmas = objective.rows, objective.targets, objective.sigmas
-    residual = ResidualObjective(objective.manifold, rows, targets, sigmas, objective.prior, objective.gamma)
-    direct = _minimiser_of_remark_3(residual)
+    scaled = objective.rows / objective.sigmas[:, None], objective.targets / objective.sigmas
+    residual = ResidualObjective.of(objective.manifold, *scaled, objective.prior, objective.gamma)
+    direct = trust_region(residual, start, _START_TOLERANCE, radius=_RADIUS).point
     evaluation = objective.evaluate(direct)
     if evaluation.value < objective.value_at_prior:
         return trust_region(objective, direct, tolerance, max_steps, evaluation=evaluation)
     return trust_region(objective, start, tolerance, max_steps)
-
-
-def _minimiser_of_remark_3(objective: ResidualObjective) -> Point:
-    """Approximate minimiser of Remark 3 as a start, from products of the rows, which is the fastest way."""
-    manifold, prior = objective.manifold, objective.prior
-    weight = float(np.sum(dual_metric(manifold, prior) * objective.products[:-1, :-1]))
-    content = ProductsObjective(manifold, objective.products, prior, objective.prior_weights, weight)
-    return trust_region(content, prior, _START_TOLERANCE, radius=_RADIUS).point
 
 
 def _check(rows: FloatArray, targets: FloatArray, sigmas: FloatArray, prior: FloatArray) -> None:

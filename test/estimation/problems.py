@@ -33,7 +33,8 @@ class Problem:
 
     def residual(self, gamma: float) -> ResidualObjective:
         """That of Remark 3."""
-        return ResidualObjective(self.manifold, self.rows, self.targets, self.sigmas, self.prior, gamma)
+        rows, targets = self.rows / self.sigmas[:, None], self.targets / self.sigmas
+        return ResidualObjective.of(self.manifold, rows, targets, self.prior, gamma)
 
     @property
     def prior_table(self) -> FloatArray:

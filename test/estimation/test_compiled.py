@@ -10,7 +10,7 @@ from geometry import bodies
 from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.channel_products import ChannelProducts
-from geomid_ros.estimation.objective import Evaluation, ProductsObjective
+from geomid_ros.estimation.objective import Evaluation, ResidualObjective
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, minimum
 from geomid_ros.geometry import compiled
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -106,7 +106,7 @@ def test_an_objective_of_products_is_the_same(manifold: ParameterManifold, monke
     point = bodies.point(rng, manifold)
     products = sparse(rng, manifold, point).products.weighed([1.0, 0.0, 0.0, 0.0])
     prior, known = bodies.point(rng, manifold), rng.normal(size=(2, manifold.dimension + 1))
-    objective = ProductsObjective(manifold, products, prior, weights(rng, manifold), 1.0, known.T @ known)
+    objective = ResidualObjective(manifold, products, prior, weights(rng, manifold), 1.0, known.T @ known)
     own = objective.evaluate(point)
     without(monkeypatch)
     assert_same(own, objective.evaluate(point))

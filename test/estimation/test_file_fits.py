@@ -11,7 +11,7 @@ import pytest
 from geomid_ros.estimation import effect_selection
 from geomid_ros.estimation.effect_selection import file_fit, fit_files, held_columns
 from geomid_ros.estimation.fit import fit
-from geomid_ros.estimation.objective import ProductsObjective
+from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.estimation.solvers import trust_region
@@ -113,7 +113,7 @@ def test_a_fold_is_left_out_in_one_step() -> None:
     for fold, end in zip(products, ends, strict=True):
         others = np.sum(products, axis=0) - fold
         prior, weights = found.problem.prior_point, found.objective.prior_weights
-        exact = trust_region(ProductsObjective(manifold, others, prior, weights, 1.0), found.search_point).point
+        exact = trust_region(ResidualObjective(manifold, others, prior, weights, 1.0), found.search_point).point
         off, moved = end[:-1] - exact.parameters, found.search_point.parameters - exact.parameters
         assert off @ others[:-1, :-1] @ off < 0.01 * moved @ others[:-1, :-1] @ moved
 

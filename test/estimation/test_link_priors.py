@@ -15,7 +15,7 @@ from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.link_priors import AlikePrior, fit_with_coupled_prior
-from geomid_ros.estimation.objective import ProductsObjective
+from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.tolerances import SETTLED
 from geomid_ros.files.models.readers import ELEMENTS
@@ -90,7 +90,7 @@ def test_parts_may_be_thin() -> None:
     own = alike_prior(links)
     root, manifold, prior = own.root(own.trusted), own.problem.manifold, own.problem.prior_point
     products = own.problem_at(prior, own.trusted).known_products
-    objective = ProductsObjective(manifold, 0.0 * products, prior, np.ones(manifold.dimension), 1.0, products)
+    objective = ResidualObjective(manifold, 0.0 * products, prior, np.ones(manifold.dimension), 1.0, products)
     expected = root.T @ root
     found = objective.evaluate(prior).information[own.columns[:, None], own.columns]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-2 * np.max(expected))

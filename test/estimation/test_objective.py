@@ -126,7 +126,7 @@ def test_the_weights_are_those_of_remark_2() -> None:
     objective = case.geodesic(GAMMA)
     np.testing.assert_allclose(objective.weights, expected, rtol=1e-7)
     for kind in ("geodesic", "residual"):
-        assert built(case, kind).prior_weight == pytest.approx(GAMMA * np.sum(expected), rel=1e-7)
+        np.testing.assert_allclose(built(case, kind).prior_weights, GAMMA * np.sum(expected), rtol=1e-7)
         assert built(case, kind).scale == pytest.approx((1.0 + GAMMA) * np.sum(expected), rel=1e-7)
 
 
