@@ -19,6 +19,7 @@ from geomid_ros.checks.effort_data import STRETCHES, EffortData, EvidenceGain, b
 from geomid_ros.checks.evidence import LEAST_SIGMA, MOST, PRIOR_STD, Evidence, evidence, payload_factor
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import STDS_OF_95
+from geomid_ros.model.samples import SIGN, SMOOTH_SIGN
 from geomid_ros.types import BoolArray, FloatArray
 
 _PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # fractions of the recording at which a change may begin
@@ -291,16 +292,22 @@ def _undone(subject: EffortData, earlier: EffortData) -> Evidence:
 
 
 def _in_earlier_motion(subject: EffortData, lag: float) -> EffortData:
-    """Subject in the motion that was a ``lag`` [s] earlier, in which joints turned about when they do."""
+    """Subject in the motion that was a ``lag`` [s] earlier."""
     samples, later = subject.samples, subject.next_samples
     times = 1e-9 * (later.stamps - samples.stamps)[:, None]
     change = later.acceleration - samples.acceleration
     jerk = np.divide(change, times, out=np.zeros_like(change), where=times > 0.0)
+    velocity = samples.velocity - lag * samples.acceleration + lag**2 / 2.0 * jerk
+    effects = samples.effects.copy()
+    for column in (candidate for candidate in (SIGN, SMOOTH_SIGN) if candidate in samples.entries):
+        signs = [samples.entries.at(column, joint) for joint in range(velocity.shape[1])]
+        effects[:, signs] = np.copysign(effects[:, signs], velocity)
     earlier = replace(
         samples,
         position=samples.position - lag * samples.velocity + lag**2 / 2.0 * samples.acceleration - lag**3 / 6.0 * jerk,
-        velocity=samples.velocity - lag * samples.acceleration + lag**2 / 2.0 * jerk,
+        velocity=velocity,
         acceleration=samples.acceleration - lag * jerk,
+        effects=effects,
     )
     return subject.with_samples(earlier)
 
