@@ -31,7 +31,7 @@ def highest_cutoff(period: float) -> float:
 def check_cutoff(cutoff: float, period: float) -> None:
     """Raise InputError if a cutoff [Hz] is too high for a grid of a ``period`` [s]."""
     if cutoff > highest_cutoff(period) * (1.0 + _UNSURE):
-        clock = "; or stamps are not in seconds" if period > 1.0 else ""
+        clock = "; or stamps are not in seconds" if period >= 0.5 else ""
         raise InputError(
             f"a cutoff of {cutoff:g} Hz is too high for data at {1 / period:.3g} Hz: set the parameter filter.cutoff "
             f"(--cutoff) to {highest_cutoff(period):.3g} or less{clock}"
