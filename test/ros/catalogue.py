@@ -142,7 +142,7 @@ CATALOGUE = (
     Fault(95, "an infinite speed", "R W", (_message("95-infinite-speed"), _both("95-infinite-speeds"))),
     Fault(96, "thousands of messages at once after silence", "taken", (f"{_FAILURES}96_a_burst_of_thousands_after_silence_is_taken",)),
     Fault(97, "a recorder that was killed; a truncated last file of a split bag; a missing footer", "intact messages are read, W with the count, status 0", (_bags("all_messages_that_are_whole_are_read"), _bags("the_last_file_of_a_split_bag_is_torn"), _bags("a_database_is_read_up_to_the_first_missing_page"), _bags("what_is_in_a_killed_recorders_log_is_read"), _bags("the_command_reads_what_is_whole_and_says_so"))),
-    Fault(98, "a bag without CRCs", "a note says that corruption cannot be detected", (_bags("it_is_said_that_nothing_is_checked"),)),
+    Fault(98, "a bag without CRCs", "nothing is said: a changed number cannot be noticed", (_bags("without_checksums_nothing_is_said"),)),
     Fault(99, "ROS 1 bags; lz4; a folder of bags", "X with the command that converts; read; read", (_bags("the_command_for_a_bag_of_ros_1_makes_one_that_is_read"), _bags("lz4_is_read"), _bags("a_folder_of_bags_is_all_of_them"))),
     Fault(100, "files of a split bag listed in another order", "read by time", (_bags("files_listed_in_another_order_are_read_by_time"),)),
     Fault(101, "`~/save` under load", "response within five seconds, with the last estimate or the reason why not", (_service("101-solver-busy"), _supervisor("101_what_takes_too_long_is_said"))),

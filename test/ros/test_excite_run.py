@@ -50,9 +50,10 @@ def status(stage: Stage, process: Process) -> int:
 
 
 def states(bag: Path) -> list[Recorded]:
-    """The joint states in a bag, which must be whole."""
+    """The joint states in a bag, which must be whole and have its checksums."""
     with Bag(bag) as opened:
         assert opened.warnings == ()
+        assert opened.has_checksums
     return [item for item in recorded(bag) if item.topic == "/joint_states"]
 
 

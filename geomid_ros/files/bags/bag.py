@@ -39,7 +39,7 @@ class Bag:
     The whole recording is checked when it is opened. Raises InputError naming the file if it cannot be read; for a
     damaged file it states where the damage is and how much can be read.
 
-    ``warnings`` are sentences on missing parts of the recording.
+    ``warnings`` are sentences on missing parts of the recording; ``has_checksums`` is True if all of it has checksums.
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,6 +59,7 @@ class Bag:
             if cut and not any(count for storage in self._storages for count in storage.counts.values()):
                 raise InputError(f"{'; '.join(cut)}. It cannot be read as a rosbag2 recording")
             self.warnings = (*files.warnings, *cut)
+            self.has_checksums = all(storage.has_checksums for storage in self._storages)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:

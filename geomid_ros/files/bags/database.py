@@ -55,6 +55,7 @@ class Database(Storage):
         self._stack.close()
 
     def _examine(self) -> None:
+        self.has_checksums = False
         header = self._header()
         self._database = sqlite3.connect(self._address(), uri=True)
         self._stack.callback(self._database.close)

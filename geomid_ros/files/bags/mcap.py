@@ -140,6 +140,7 @@ class McapFile(Storage):
             elif kind == _Kind.DATA_END:
                 data_end, recorded = end, self._number(begin + _RECORD.size, 4)
                 self._check_sum(0, begin, recorded, "data section")
+                self.has_checksums |= recorded != 0
             elif kind == _Kind.HEADER:
                 self._check_profile(begin, end)
             elif kind in (_Kind.CHUNK, _Kind.SCHEMA, _Kind.CHANNEL, _Kind.MESSAGE):
@@ -183,8 +184,10 @@ class McapFile(Storage):
             raise FaultError(f"a record of {end - begin} bytes, more than {MOST_BYTES}", begin)
         data = memoryview(self._bytes(begin, end))
         if not chunk:
+            self.has_checksums = False  # until the checksum of the data section is verified
             return _records(data)
-        content, truncated = _chunk_data(data[_RECORD.size :], end == self._size)
+        content, checked, truncated = _chunk_data(data[_RECORD.size :], end == self._size)
+        self.has_checksums &= checked
         return _records(memoryview(content), truncated)
 
     def _add_truncated(self, begin: int) -> None:
@@ -272,8 +275,8 @@ def _text(record: memoryview, begin: int) -> tuple[str, int]:
     return str(record[start:end], "utf-8"), end
 
 
-def _chunk_data(record: memoryview, last: bool) -> tuple[bytes | memoryview, bool]:
-    """Data of a chunk, and True if it is truncated, as only the ``last`` chunk may be.
+def _chunk_data(record: memoryview, last: bool) -> tuple[bytes | memoryview, bool, bool]:
+    """Data of a chunk; True if its checksum was verified; True if it is truncated, as only the ``last`` chunk may be.
 
     Raises ValueError or struct.error.
     """
@@ -283,12 +286,12 @@ def _chunk_data(record: memoryview, last: bool) -> tuple[bytes | memoryview, boo
     packed = record[end + 8 :]
     if length > len(packed):
         if last:
-            return decompress_truncated(packed, method, size), True
+            return decompress_truncated(packed, method, size), False, True
         raise ValueError(_TOO_SHORT)
     data = decompress(packed[:length], method, size)
     if recorded and crc32(data) != recorded:
         raise ValueError("the checksum of a chunk is wrong")
-    return data, False
+    return data, recorded != 0, False
 
 
 def _records(data: memoryview, truncated: bool = False) -> Iterator[tuple[int, memoryview]]:

@@ -43,7 +43,8 @@ class Storage(ABC):
     """An open file of a recording, which was examined completely.
 
     ``counts``: number of messages by topic and type; ``start``: recording time of the first one [ns]. ``truncation``
-    states where the file ends too early and how much of it is intact; empty if it is complete.
+    states where the file ends too early and how much of it is intact; empty if it is complete. ``has_checksums`` is
+    True if it has checksums, which reveal damaged numbers.
 
     Raises InputError naming the file, the place of damage if known, and how much can be read.
     """
@@ -55,7 +56,7 @@ class Storage(ABC):
         self._path, self._size = path, path.stat().st_size
         self.counts: dict[tuple[str, str], int] = {}
         self.start: int | None = None
-        self.truncation = ""
+        self.truncation, self.has_checksums = "", True
         try:
             self._examine()
         except TruncatedFileError as fault:
