@@ -20,6 +20,7 @@ from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
 from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
 from geomid_ros.inference.rao_score import ScoreTest, score_tests
+from geomid_ros.inference.remainder import DEFAULT_VARIANCE
 from geomid_ros.model.effects import AtSensor
 from geomid_ros.model.effects.sensor_errors import WrenchOffset
 from geomid_ros.types import FloatArray
@@ -126,6 +127,20 @@ def test_a_row_that_a_name_explains_exactly_does_not_lose_itself_in_the_remainde
         design = found.with_fitted_remainder(design)
         assert design.gather([], found.terms).targets[0] > 0.0
         assert np.isfinite(found.score)
+
+
+@pytest.mark.parametrize("candidate", [PAYLOAD, VISCOUS])
+def test_beside_other_recordings_each_block_may_change_by_a_twentieth_of_what_is_named(candidate: Candidate) -> None:
+    """No effect acts exactly as its columns state, and a body does not either."""
+    whole = designed(3)
+    features = np.random.default_rng(4).normal(size=(ROWS, 2))
+    rows = [ChannelRows(c.columns, features, np.arange(2), c.place, c.links, 1e-3 * np.eye(2)) for c in whole.channels]
+    design = Design.of(rows, whole.dimension)
+    found = fit(design, PRIOR, [candidate])
+    changes = np.array(found.with_fitted_remainder(design).variances) - DEFAULT_VARIANCE
+    powers = design.powers(candidate, found.changes[candidate]) / found.squares
+    np.testing.assert_allclose(changes, np.outer(0.05**2 * powers, [1.0, 1.0]), rtol=1e-6, atol=1e-12)
+    assert np.max(changes) > 0.0
 
 
 def test_a_minimum_is_near_enough_where_no_step_promises_much() -> None:
