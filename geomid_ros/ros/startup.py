@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
@@ -19,7 +21,7 @@ MATCHING = 0.5
 """Time [s] from the discovery of a best-effort subscriber until it receives messages."""
 
 PATIENCE = 5.0
-"""Time [s] within which existing nodes and topics are discovered."""
+"""Time [s] within which existing nodes and topics are discovered, and the last messages are received."""
 
 POLL = 5e-3
 """Time [s] between polls for messages that are to be processed at once; each poll costs as much as a message."""
@@ -74,7 +76,15 @@ def running_node(name: str, **options: Any) -> Iterator[Node]:
         try:
             yield node
         finally:
-            node.destroy_node()
+            destroy(node)
+
+
+def destroy(node: Node) -> None:
+    """Destroy a node as soon as its last messages have been received: with its publishers they would be lost."""
+    end = time.monotonic() + PATIENCE
+    for publisher in node.publishers:
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
+    node.destroy_node()
 
 
 def _security() -> str:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +14,7 @@ from commands.running import done, link, read
 from files.recordings import BAGS
 from geometry_msgs.msg import InertiaStamped
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from geomid_ros.commands import live
 
@@ -19,6 +23,27 @@ from .processes import SOON
 from .rig import rigged
 from .stage import NO_CHOICE, WRIST, Stage, description
 from .test_catalogue_messages import MALFORMED
+
+ENDS_AT_ONCE = """
+import time
+from std_msgs.msg import String
+from geomid_ros.ros.startup import running_node
+with running_node("short") as node:
+    publisher = node.create_publisher(String, "/long", 100)
+    while not publisher.get_subscription_count():
+        time.sleep(0.02)
+    for _ in range(20):
+        publisher.publish(String(data=" " * 1_000_000))
+"""
+
+
+def test_the_last_messages_of_a_node_that_ends_are_received(stage: Stage) -> None:
+    """A robot's last command is to rest."""
+    heard = stage.observer.collect(String, "/long")
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(stage.domain)}
+    with subprocess.Popen([sys.executable, "-c", ENDS_AT_ONCE], env=environment) as process:
+        stage.observer.wait_for(lambda: process.poll() is not None, "the end of a process")
+    stage.observer.wait_for(lambda: len(heard) == 20, "all messages", patience=20.0)
 
 
 def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> None:
