@@ -29,7 +29,6 @@ FEWEST_IN_BURSTS = 320
 _UNEVEN = 0.35  # largest RMS distance of burst ends from a line, as a fraction of the time between bursts
 MISSED = 2.5
 """Periods between two messages, or between bursts, above which there is a pause."""
-_LOST = 1.5  # periods; a burst that is later has lost messages
 _FOLLOWS = 0.05  # fraction of a burst's lateness by which times are corrected
 
 
@@ -85,7 +84,7 @@ class RegularClock:
         if waited < self.period:
             return self.period
         late = self._last - self._origin - self._time  # the message before was the last of a burst
-        return self.period + (late if abs(late) > _LOST * self.period else _FOLLOWS * late)
+        return self.period + (late if abs(late) > MISSED * self.period else _FOLLOWS * late)
 
 
 class MotionClock:
@@ -233,8 +232,7 @@ class VelocityCheck:
     """
 
     _FEWEST = 100  # number of samples
-    _OFF = 0.05
-    _IN_PROPORTION = 0.99
+    _OFF = 0.05  # largest difference of a factor from one, and of a squared correlation
     _WRONG_CLOCK = 1.5  # times; a smaller factor may be due to a gear or a filter
 
     def __init__(self, joints: int) -> None:
@@ -271,7 +269,7 @@ class VelocityCheck:
         """True for joints whose velocities differ from the derivatives by a factor, from sums ``(4, ...)``."""
         _, given, product, derived = sums
         off = np.abs(product - derived) > self._OFF * derived
-        in_proportion = product**2 > self._IN_PROPORTION * given * derived
+        in_proportion = product**2 > (1.0 - self._OFF) * given * derived
         return np.asarray(off & in_proportion & self._informative(sums))
 
     def remark(self) -> Reason | None:
