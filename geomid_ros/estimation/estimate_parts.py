@@ -20,9 +20,10 @@ from geomid_ros.types import BoolArray, FloatArray, frozen
 
 
 def links(
-    problem: Problem, point: Point, found: uncertainty.Uncertainty, outliers: BoolArray
+    problem: Problem, point: Point, found: uncertainty.Uncertainty, outliers: BoolArray, least_stds: FloatArray
 ) -> tuple[LinkEstimate, ...]:
-    """Link estimates; ``outliers (links,)``: True for links that left their prior."""
+    """Link estimates; ``outliers (links,)``: True for links that left their prior; ``least_stds (links, 13)``: lower
+    bounds of the standard deviations of their quantities and first moments."""
     model, manifold, prior = problem.model, problem.manifold, problem.prior_point
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
     sensitivity = sensitivity_of_numbers(point)
@@ -33,6 +34,7 @@ def links(
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
         std, doubted, prior_std = (deviations_of(sensitivity[index], c[block, block]) for c in covariances)
+        std, doubted = (np.maximum(stds, least_stds[index]) for stds in (std, doubted))
         default_std = problem.default_stds[index] * np.linalg.norm(sensitivity[index], axis=1)
         prior_std = np.minimum(prior_std, default_std)
         is_identified = identified(parameters[index], doubted, prior_std)

@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.coefficient_fit import CoefficientRows
 from geomid_ros.estimation.effect_selection import Choice, choose, file_fit, fit_files
-from geomid_ros.estimation.estimate import WITHIN, EffectEstimate, Estimate
+from geomid_ros.estimation.estimate import WITHIN, EffectEstimate, Estimate, LinksInformation
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import GeodesicObjective, row_weights
@@ -335,6 +335,9 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
     parameters = np.zeros(whole.model.dimension)
     parameters[columns] = point.parameters
     factor = np.sqrt(min(errors.independent_fraction, problem.independent_fraction))
+    information = uncertainty.links_information(
+        manifold, problem.prior_point, point, fitted.rows, known.weighed, errors
+    )
     return Estimate(
         converged=solution.converged,
         reason=solution.reason,
@@ -342,7 +345,9 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=minimum.set_aside,
-        links=estimate_parts.links(problem, point, link_errors, _outliers(fitted)),
+        links=estimate_parts.links(
+            problem, point, link_errors, _outliers(fitted), _stds_of_far_links(problem, point, information, link_errors)
+        ),
         effects=estimate_parts.effects(problem, point, errors),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
@@ -350,9 +355,7 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         prior_stds=frozen(fitted.prior_stds),
         rms_nominal=frozen(whole.summary.rms(whole.model.described_parameters)),
         rms=frozen(summary.rms(point.parameters)),
-        information=uncertainty.links_information(
-            manifold, problem.prior_point, point, fitted.rows, known.weighed, errors
-        ),
+        information=information,
         posterior=estimate_parts.posterior(problem, point, minimum.link_errors),
         rows=frozen(factor * fitted.rows[0]),
         targets=frozen(factor * fitted.rows[1]),
@@ -392,6 +395,19 @@ def _grid_steps(columns: IntArray, whole: Problem, fitted: Fit, point: Point) ->
 def _outliers(fitted: Fit) -> BoolArray:
     """True for each link whose fitted prior std is far above the default ``(links,)``."""
     return np.asarray(fitted.prior_stds > _FAR * fitted.problem.default_stds)
+
+
+def _stds_of_far_links(
+    problem: Problem, point: Point, information: LinksInformation, errors: uncertainty.Uncertainty
+) -> FloatArray:
+    """Standard deviations ``(links, 13)`` of the numbers of links whose prior's errors may be large; zero of others."""
+    links = problem.manifold.inertial
+    is_far = errors.prior_stds[links][::10] > _FAR * problem.default_stds
+    if not np.any(is_far):
+        return np.zeros((len(is_far), 1))
+    prior, estimated = (Point(p.pseudo_inertias, np.zeros(0), np.zeros(0)) for p in (problem.prior_point, point))
+    stds = uncertainty.stds_along_geodesics(prior, estimated, information, errors.prior_stds[links])
+    return np.where(is_far[:, None], stds, 0.0)
 
 
 def _outlier_warnings(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:

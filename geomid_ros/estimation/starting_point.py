@@ -61,8 +61,8 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
 
 def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> FloatArray:
     """Scale of each coefficient: the value at which its effect is as large as the channel it adds to. Of several
-    channels, the one in which it is most visible counts."""
-    scales = np.full(model.dimension, np.inf)
+    channels, the one in which it is most visible counts. If no motion shows it, it may be as large as the channel."""
+    scales, unseen = np.full((2, model.dimension), np.inf)
     sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
     counts = np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
     for index, channel in enumerate(model.channels):
@@ -71,7 +71,8 @@ def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> Floa
         large = columns > ROUNDING_OF_PRODUCTS
         in_channel = sizes[index] / np.where(large, columns, 1.0)
         scales[channel.columns] = np.minimum(scales[channel.columns], np.where(large, in_channel, np.inf))
-    return np.where(np.isfinite(scales), scales, 1.0)[len(model.nominal_inertias) :]
+        unseen[channel.columns] = np.minimum(unseen[channel.columns], sizes[index] / _LEAST_MOTION)
+    return np.where(np.isfinite(scales), scales, unseen)[len(model.nominal_inertias) :]
 
 
 def default_prior_stds(manifold: ParameterManifold) -> FloatArray:

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.estimation.channel_products import triangular
-from geomid_ros.estimation.estimate import FINEST, LinksInformation
-from geomid_ros.estimation.solvers import Extrapolation
+from geomid_ros.estimation.estimate import FINEST, LinksInformation, quantities_and_moments
+from geomid_ros.estimation.objective import ResidualObjective
+from geomid_ros.estimation.solvers import Extrapolation, trust_region
+from geomid_ros.estimation.tolerances import LEAST_DECREASE
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.dynamics import STEP
@@ -22,6 +24,8 @@ _FOLDS_OF_BLOCKS = (1, 2, 4)
 """Block lengths, in folds; the largest inflation counts, because correlations longer than a block are hidden in it."""
 _DOUBT = 3.0  # factor of the prior's errors with which a quantity must still be identified, by the data alone
 _ROUNDING = float(np.finfo(float).eps)  # times the largest information: what rounding may make of zero
+_POSITIVE = (0, 4, 6, 9)  # numbers of a body whose intervals are those of their logarithms: mass and moments of inertia
+_PAIRS = 16  # of opposite errors: a standard deviation is then known to a fifth
 # Fraction of the total variance: directions of less variance are not distinguished.
 _FLOOR = 1e-4
 
@@ -340,3 +344,35 @@ def links_information(
     whitened = manifold.whiten(point, np.column_stack([link_rows[:, :-1], np.zeros((first, size - first))]))
     link_rows = link_rows / max(1.0, float(np.max(np.abs(whitened), initial=0.0)) / FINEST)
     return LinksInformation(frozen(link_rows[:, :-1]), frozen(link_rows[:, -1]))
+
+
+def stds_along_geodesics(
+    prior: Point, point: Point, information: LinksInformation, prior_stds: FloatArray
+) -> FloatArray:
+    """Standard deviations ``(links, 13)`` of the quantities and first moments of all links, by randomised minima.
+
+    If the prior's errors are large, a covariance at the estimate is far too small: the nearest bodies to a small one,
+    among those with a given first moment, are thin, and a thin body cannot change its mass along straight lines. So the
+    errors of the rows and of the prior, along geodesics, are drawn, and the estimate is computed anew for each
+    ("randomize-then-optimize"; Bardsley et al., SIAM J. Sci. Comput., 2014). For small errors the result is the same.
+
+    Args:
+        prior, point: the links' prior and estimate.
+        information: Log-likelihood of the links.
+        prior_stds: Standard deviations ``(10 links,)`` of the prior's error.
+    """
+    size = len(prior_stds)
+    manifold = ParameterManifold(size // spd.SIZE, 0, np.zeros(0))
+    rows, targets = information.rows, information.rows @ point.parameters - information.residuals
+    estimated = quantities_and_moments(pseudo_inertia.to_parameters(point.pseudo_inertias))
+    errors = np.random.default_rng(0).standard_normal((_PAIRS, 2, size))
+    off = []
+    for of_prior, of_rows in np.concatenate([errors, -errors]):
+        augmented = np.column_stack([rows, targets + of_rows])
+        moved = manifold.exp(prior, prior_stds * of_prior)
+        objective = ResidualObjective(manifold, augmented.T @ augmented, moved, prior_stds**-2.0, float(size))
+        minimum = trust_region(objective, point, least_decrease=LEAST_DECREASE).point
+        numbers = quantities_and_moments(pseudo_inertia.to_parameters(minimum.pseudo_inertias))
+        off.append(numbers - estimated)
+        off[-1][:, _POSITIVE] = estimated[:, _POSITIVE] * np.log(numbers[:, _POSITIVE] / estimated[:, _POSITIVE])
+    return np.asarray(np.sqrt(0.5 * np.pi) * np.mean(np.abs(off), axis=0))

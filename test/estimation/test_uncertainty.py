@@ -10,8 +10,17 @@ import pytest
 from geometry import bodies
 from scipy.signal import lfilter
 
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate, effort_deviations
+from geomid_ros.estimation.estimate import (
+    QUANTITIES,
+    Estimate,
+    LinksInformation,
+    effort_deviations,
+    quantities_and_moments,
+)
+from geomid_ros.estimation.estimate_parts import deviations_of, sensitivity_of_numbers
 from geomid_ros.estimation.estimator import WHITE_ROWS_PER_PERIOD, EstimatorSettings, estimate, filtered_fraction
+from geomid_ros.estimation.objective import ResidualObjective
+from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertainty import (
     Fold,
@@ -22,10 +31,12 @@ from geomid_ros.estimation.uncertainty import (
     estimate_uncertainty,
     estimated_prior_stds,
     physical_sensitivity,
+    stds_along_geodesics,
     variance_inflation,
     with_enlarged_prior,
 )
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.types import FloatArray
 
@@ -255,6 +266,35 @@ def test_sensitivities_are_the_derivatives_of_mass_centre_and_central_inertia(ma
             expected = (ahead - behind)[link] / (2.0 * step)
             along = found[link] @ tangent[manifold.link(link)]
             np.testing.assert_allclose(along, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
+def errors_of_a_small_ball(size: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Errors of mass and centre ``(4,)`` of a body at errors of this ``size`` from the prior, a small ball, of which
+    only the first moment is measured; their standard deviations by the covariance, and along geodesics."""
+    manifold, stds = ParameterManifold(1, 0, np.zeros(0)), np.full(10, size)
+    ball = manifold.point(np.array([1.0, 0.0, 0.0, 0.0, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3]))
+    true = manifold.exp(ball, size * rng.standard_normal(10)).parameters
+    rows = np.zeros((10, 10))
+    rows[:3, 1:4] = 1e3 / np.linalg.norm(true[1:4]) * np.eye(3)
+    augmented = np.column_stack([rows, rows @ true])
+    found = trust_region(ResidualObjective(manifold, augmented.T @ augmented, ball, stds**-2.0, 10.0), ball).point
+    normals = manifold.whiten(found, rows)
+    linear = deviations_of(sensitivity_of_numbers(found)[0], np.linalg.inv(normals.T @ normals + np.diag(stds**-2.0)))
+    information = LinksInformation(rows, rows @ (found.parameters - true))
+    along = stds_along_geodesics(ball, found, information, stds)[0]
+    off = quantities_and_moments(found.parameters) - quantities_and_moments(true)
+    off[0] = found.parameters[0] * np.log(found.parameters[0] / true[0])
+    return off[:4], linear[:4], along[:4]
+
+
+def test_deviations_along_geodesics_hold_a_body_far_from_a_placeholder() -> None:
+    """The truth is drawn from the prior. For small errors both kinds of deviations are the same."""
+    rng = np.random.default_rng(1)
+    _, linear, along = errors_of_a_small_ball(0.02, rng)
+    np.testing.assert_allclose(along, linear, rtol=0.5)
+    off, linear, along = np.swapaxes([errors_of_a_small_ball(2.0, rng) for _ in range(8)], 0, 1)
+    assert np.mean(np.abs(off) < 2.0 * linear) < 0.8
+    assert np.mean(np.abs(off) < 2.0 * along) > 0.85
 
 
 # --- what it says of an arm -----------------------------------------------------------------------------------------
