@@ -14,6 +14,7 @@ from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_floor, runs_of
 from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records, TotalModel
+from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, fit_of_prior
 from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
@@ -282,9 +283,33 @@ def _round(
         names = search.grow(names, to_the_end=is_last)
     search = Selection(names.with_fitted_remainder(design), prior, task.tried)
     names = search.within_range(search.fit(names.chosen, names))
-    if searches:
-        names = search.optimise(names) if settling else search.grow(names, to_the_end=is_last)
+    if searches and settling:
+        search, names = _exchanged(search, search.optimise(names))
+    elif searches:
+        names = search.grow(names, to_the_end=is_last)
     return _Round(problem, columns, search, names)
+
+
+def _exchanged(search: EffectsSearch, names: EffectsFit) -> tuple[EffectsSearch, EffectsFit]:
+    """Exchange a named effect for a rival if it is better with a remainder of its own: the present remainder was
+    estimated beside the named effect, and favours it."""
+    best, design = names, search.design
+    for candidate in names.chosen:
+        for rival in (r for r in search.rivals(names, candidate) if candidate not in r.chosen):
+            differing = {*names.chosen} ^ {*rival.chosen}
+            reached = {channel for c in differing for channel in search.design.affected_channels(c)}
+
+            def with_own(found: EffectsFit, reached: Collection[int] = reached) -> tuple[Design, EffectsFit]:
+                own = found.with_fitted_remainder(search.design, reached)
+                return own, fit(own, search.prior, found.chosen, found)
+
+            own, other = with_own(rival)
+            if other.score < best.score and other.score < with_own(names)[1].score:
+                best, design = other, own
+    if best is names:
+        return search, names
+    search = Selection(design, search.prior, search.hypotheses)
+    return search, search.optimise(search.fit(best.chosen, best))
 
 
 def _same(previous: EffectsFit | None, current: EffectsFit) -> bool:

@@ -40,6 +40,7 @@ ODDS = 0.01
 its joints are as likely as not."""
 CLEARLY = 12.0
 """Difference of minus twice a logarithm that occurs by chance once in four hundred."""
+_FRACTION = 0.3  # prior standard deviation of a coefficient, of the measurement, where nothing else is known of it
 _EXACT = 1e-5  # standard deviation of a sum fixed at zero, relative to the friction: far less than that of any rows
 _OF_COUPLED = 0.05  # fraction of the odds, for coupled joints: most joints have separate motors
 
@@ -125,10 +126,15 @@ class Candidate:
 
     @cached_property
     def prior_std(self) -> tuple[float, ...]:
-        """Prior stds of the coefficients about their known values; 0: a default fraction of the measurement."""
+        """Prior stds of the coefficients about their known values; 0: a fraction of the measurement."""
         return tuple(
             term.effect.default_prior_std[term.index] if term.effect.default_prior_std else 0.0 for term in self.terms
         )
+
+    @property
+    def prior_std_fraction(self) -> float:
+        """Prior std of the coefficients without another one, as a fraction of the measurement."""
+        return self.effect.prior_std_fraction or _FRACTION
 
     @property
     def rescales(self) -> bool:

@@ -20,8 +20,6 @@ _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 BLOCKS = 8  # of time; their scatter shows how dependent the rows are
 _LEAST_SIZE = 1e-4  # mean square of whitened features: those that hardly occur are not scaled up
-DEFAULT_FRACTION = 0.3
-"""Prior standard deviation of a coefficient, as a fraction of the measurement, where nothing else is known of it."""
 
 
 class ChannelRows:
@@ -191,10 +189,10 @@ class Design:
         return scale if np.isfinite(scale) and scale > 0.0 else 1.0
 
     @remembered
-    def prior_precision(self, candidate: Hypothesis[Any]) -> FloatArray:
-        """Prior precision ``(k,)`` of a candidate's coefficients."""
+    def prior_stds(self, candidate: Hypothesis[Any]) -> FloatArray:
+        """Prior standard deviations ``(k,)`` of a candidate's coefficients."""
         stds = zip(candidate.prior_std, self.scales(candidate.terms), strict=True)
-        return np.array([std or DEFAULT_FRACTION * scale for std, scale in stds]) ** -2.0
+        return np.array([std or candidate.prior_std_fraction * scale for std, scale in stds])
 
     def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> ChannelProducts:
         """Products of the inertial columns, those of each link of ``bodies`` again, the terms and the target."""

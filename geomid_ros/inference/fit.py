@@ -22,7 +22,7 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference import prior as priors
-from geomid_ros.inference.design import BLOCKS, DEFAULT_FRACTION, Design, RemainderFit
+from geomid_ros.inference.design import BLOCKS, Design, RemainderFit
 from geomid_ros.inference.prior import Chosen, Prior, Term
 from geomid_ros.types import FloatArray
 
@@ -188,10 +188,9 @@ def _free_fit(
     prior_point = _known(manifold, prior, bodies)
     payloads_at = len(prior.inertias)
     known_stds = dict(zip(prior.terms, prior.prior_stds.tolist(), strict=True))
-    known_stds |= {term: std for c in chosen for term, std in zip(c.terms, c.prior_std, strict=True)}
-    stds = [known_stds[term] or DEFAULT_FRACTION * scale for term, scale in zip(terms, scales, strict=True)]
+    known_stds |= {term: std for c in chosen for term, std in zip(c.terms, design.prior_stds(c), strict=True)}
     weights = np.ones(manifold.dimension)
-    weights[manifold.real] = (scales / np.array(stds)) ** 2
+    weights[manifold.real] = (scales / np.array([known_stds[term] for term in terms])) ** 2
     weights[payloads_at : manifold.inertial.stop] = priors.PAYLOAD_PRIOR_STD**-2
     rows, cost = _known_rows(prior, chosen, manifold)
     earlier = _products(manifold.offset_rows(prior_point, rows[:, :-1]), rows[:, -1])

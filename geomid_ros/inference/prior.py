@@ -34,7 +34,11 @@ class Hypothesis(Protocol[_Term_co]):
 
     @property
     def prior_std(self) -> tuple[float, ...]:
-        """Prior stds of its coefficients about their known values; 0: a default fraction of the measurement."""
+        """Prior stds of its coefficients about their known values; 0: the fraction below."""
+
+    @property
+    def prior_std_fraction(self) -> float:
+        """Prior std of its coefficients without another one, as a fraction of the measurement."""
 
     @property
     def odds(self) -> float:

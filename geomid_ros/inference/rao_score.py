@@ -121,7 +121,7 @@ class _Test(Generic[Chosen]):
         """Prior precisions ``(G, k)`` of the candidates' coefficients; of bodies almost zero."""
         if alike[0].payload is not None:
             return np.full((len(alike), 10), 1e-12)
-        return np.array([self._design.prior_precision(candidate) for candidate in alike])
+        return np.array([self._design.prior_stds(candidate) for candidate in alike]) ** -2.0
 
     def _log_narrowing(self, alike: Sequence[Chosen], precision: FloatArray, trust: FloatArray) -> FloatArray:
         """Twice the log of how much the data narrow the coefficients ``(G,)``; of bodies by a rule of thumb."""

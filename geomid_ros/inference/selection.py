@@ -158,7 +158,7 @@ class Selection(Generic[Chosen, Term]):
         if any(c.payload is not None for c in dropped):
             return float("inf")
         covariance = current.covariance_of([term for c in dropped for term in c.terms])
-        roots = np.sqrt(np.concatenate([self.design.prior_precision(c) for c in dropped]))
+        roots = 1.0 / np.concatenate([self.design.prior_stds(c) for c in dropped])
         log_narrowing = np.linalg.slogdet(covariance * np.outer(roots, roots))[1]
         return sum(c.cost for c in dropped) - float(log_narrowing)
 

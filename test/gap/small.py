@@ -33,7 +33,8 @@ PAYLOAD = Candidate(CarriedBody(), OnLink(0, 0), ())
 class Recording:
     """Random columns, one for each term, each at its own channel; and what is measured.
 
-    ``alike``: of a term whose column is another's but for a tenth of noise.
+    ``alike``: of a term whose column is another's but for a tenth of noise. ``features``, by ``block``: of the
+    remainder of both channels, none by default.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class Recording:
         self.coefficients = self._rng.normal(size=(ROWS, CHANNELS, len(LINK)))
         terms = dict.fromkeys(term for candidate in candidates for term in candidate.terms)
         self.columns = {term: self._rng.normal(size=ROWS) for term in terms}
+        self.features, self.block = np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp)
         for term, other in (alike or {}).items():
             self.columns[term] = self.columns[other] + 0.1 * self._rng.normal(size=ROWS)
 
@@ -69,6 +71,5 @@ class Recording:
             own = [self.columns[term] for term in terms]
             rows = np.column_stack([self.coefficients[:, channel], *own, targets[:, channel]])
             place = {term: len(LINK) + index for index, term in enumerate(terms)}
-            nothing = np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp)
-            channels.append(ChannelRows(rows, *nothing, place, np.arange(len(LINK))))
+            channels.append(ChannelRows(rows, self.features, self.block, place, np.arange(len(LINK))))
         return Design.of(channels, len(LINK))

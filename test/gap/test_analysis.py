@@ -13,13 +13,14 @@ from geomid_ros.gap import analysis
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import _ends, _identifiable
 from geomid_ros.gap.candidates import Candidate, EffectsPrior
+from geomid_ros.inference.fit import fit
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import AtJoint, AtJoints, OnLink, OnRobot, Place
 from geomid_ros.types import BoolArray
 
 from . import planted
-from .small import LINK, PAYLOAD, PRIOR, Recording, at
+from .small import LINK, PAYLOAD, PRIOR, ROWS, Recording, at
 
 VISCOUS, OFFSET = at("viscous_friction", 0), at("effort_offset", 0)
 OTHER = at("viscous_friction", 1)
@@ -97,6 +98,24 @@ def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there
     found = analysis._flexible_noise(problem, everywhere, bare, np.ones(noise.shape, dtype=bool))
     assert 0.45 < np.mean([process.predictors[1][0] for process in found if process.order]) < 0.9
     assert 0.5 < np.mean([process.variances[-1] for process in found]) < 2.0
+
+
+def test_a_rival_is_tried_with_a_remainder_of_its_own() -> None:
+    """The one that was estimated beside the named effect explains what only this one leaves."""
+    rotor, rng = at("rotor_inertia", 0), np.random.default_rng(1)
+    recording = Recording(1, [VISCOUS, rotor])
+    recording.features, recording.block = rng.normal(size=(ROWS, 12)), np.repeat([0, 1], [8, 4])
+    alien, lacking = recording.features[:, :8] @ rng.normal(size=8), recording.features[:, 8:] @ np.full(4, 0.1)
+    recording.columns[TERM] = recording.columns[rotor.terms[0]] + alien + lacking
+    targets = recording.targets({rotor.terms[0]: 1.0})
+    targets[:, 0] += lacking
+    design = recording.design_of(targets)
+    for _ in range(2):
+        search = Selection(fit(design, PRIOR, [VISCOUS]).with_fitted_remainder(design), PRIOR, [VISCOUS, rotor])
+        design = search.design
+    found = search.optimise(search.fit([VISCOUS]))
+    assert found.chosen == (VISCOUS,)
+    assert analysis._exchanged(search, found)[1].chosen == (rotor,)
 
 
 class Rounds:

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective
 from geomid_ros.estimation.solvers import trust_region
-from geomid_ros.gap.candidates import Candidate, EffectTerm, parameters, passivity_constraints
+from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, parameters, passivity_constraints
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.inference import prior as before
@@ -21,6 +21,7 @@ from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
 from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
 from geomid_ros.inference.rao_score import ScoreTest, score_tests
 from geomid_ros.inference.remainder import DEFAULT_VARIANCE
+from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import AtSensor
 from geomid_ros.model.effects.sensor_errors import WrenchOffset
 from geomid_ros.types import FloatArray
@@ -171,6 +172,16 @@ def test_standard_deviations_are_those_of_the_errors() -> None:
     assert chi2.ppf(5e-5, count) < 13 * np.sum(np.array(errors)[:, 3]) < chi2.ppf(1.0 - 5e-5, count)
 
 
+def test_what_a_joint_that_moves_one_way_feels_is_friction_rather_than_an_offset() -> None:
+    """Sensors are rarely far off; `identify` expects their offsets to be as small."""
+    recording = Recording(7, [COULOMB, OFFSET])
+    recording.columns = dict.fromkeys(recording.columns, np.ones(ROWS))
+    search = Selection(recording.design({COULOMB.terms[0]: 1.0}), PRIOR, [COULOMB, OFFSET])
+    assert search.fit([COULOMB]).score < search.fit([OFFSET]).score - CLEARLY
+    found = search.fit([COULOMB, OFFSET])
+    assert found.value(COULOMB.terms[0]) == pytest.approx(1.0, abs=0.05)
+
+
 def test_the_covariance_is_the_inverse_information_in_parameters() -> None:
     found = fit(designed(1), PRIOR, [VISCOUS])
     np.testing.assert_allclose(found.inverse @ found.information, np.eye(11), atol=1e-8)
@@ -252,13 +263,13 @@ class TestWhatTheModelHas:
 class TestScoreTest:
     def test_separability_is_the_share_of_a_column_that_the_others_cannot_imitate(self) -> None:
         """By least squares on all other columns of the channel, without a prior to speak of."""
-        recording = Recording(7, NAMES)
-        recording.columns[TERM] += 2.0 * recording.columns[OFFSET.terms[0]] + recording.coefficients[:, 0, 0]
+        recording = Recording(7, [VISCOUS, COULOMB])
+        recording.columns[TERM] += 2.0 * recording.columns[COULOMB.terms[0]] + recording.coefficients[:, 0, 0]
         recording.coefficients[:, 1] *= 1e-3  # else the other channel tells the inertias, and they imitate less
         design = recording.design({TERM: 0.3})
-        current = fit(design, replace(PRIOR, certainty=1e6, prior_std=50.0), [OFFSET], prior_std=50.0)
+        current = fit(design, replace(PRIOR, certainty=1e6, prior_std=50.0), [COULOMB], prior_std=50.0)
         separability = score_test(design, current, VISCOUS).separability
-        others = np.column_stack([recording.coefficients[:, 0], recording.columns[OFFSET.terms[0]]])
+        others = np.column_stack([recording.coefficients[:, 0], recording.columns[COULOMB.terms[0]]])
         column = recording.columns[TERM]
         left = column - others @ np.linalg.lstsq(others, column)[0]
         assert separability == pytest.approx(float(left @ left / (column @ column)), rel=0.02)

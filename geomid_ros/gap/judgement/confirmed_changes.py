@@ -187,7 +187,8 @@ def _with_ordinary(
     named_terms = {term for candidate in named for term in candidate.terms}
     terms = tuple(term for candidate in ordinary for term in candidate.terms if term not in named_terms)
     sizes = problem.typical_sizes(terms)
-    prior_stds = DEFAULT_PRIOR_STD * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # any, if zero
+    fractions = np.array([term.effect.prior_std_fraction or DEFAULT_PRIOR_STD for term in terms])
+    prior_stds = fractions * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # any, if zero
     return replace(
         prior,
         terms=(*prior.terms, *terms),
