@@ -12,8 +12,8 @@ import numpy as np
 
 from geomid_ros.api.options import CompareOptions
 from geomid_ros.api.robot import identified_urdf_path
-from geomid_ros.api.verify import read_test_samples, reasons_for_doubt
-from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
+from geomid_ros.api.verify import read_test_samples
+from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Difference, RobotValues, compare_robots
 from geomid_ros.exports.model import ExportModel, read_model
@@ -109,7 +109,7 @@ def compare(options: CompareOptions) -> Comparison:
         raise InputError(f"{first}, {second}: neither is an estimate.json; at least one must have standard deviations")
     values = [side.values if isinstance(side, EstimateFile) else _urdf_values(side, results[0]) for side in sides]
     _check_same_robot(sides, values)
-    doubts = [f"{result.source}: {reason}" for result in results for reason in result.judgement.reasons]
+    doubts = [doubt for result in results for doubt in result.doubts]
     status = max(result.judgement.status for result in results)
     errors = [side.rms.held_out or side.rms.train if isinstance(side, EstimateFile) else {} for side in sides]
     units = {row.channel: row.unit for result in results for row in result.channels}
@@ -117,9 +117,9 @@ def compare(options: CompareOptions) -> Comparison:
         predicted = [_errors_on_bags(side, options) for side in sides]
         errors = [rms for _, rms in predicted]
         units = {channel.name: channel.unit for session, _ in predicted for channel in session.model.channels}
-        reasons = [sentence for session, _ in predicted for sentence in reasons_for_doubt(session)]
-        doubts += reasons
-        status = max(status, STATUS[DOUBTFUL if reasons else USABLE])
+        verdicts = [recording_verdict(session.review.findings) for session, _ in predicted]
+        doubts += [reason for verdict in verdicts for reason in verdict.reasons]
+        status = max(status, *(verdict.status for verdict in verdicts))
     before, after = errors
     return Comparison(
         first=str(first),
