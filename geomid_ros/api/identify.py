@@ -218,9 +218,8 @@ class Identification:
     @property
     def notes(self) -> list[str]:
         """Remarks that make nothing doubtful, as sentences: on the recordings, and on what the description for
-        :attr:`reader` omits."""
-        shapes = [f"{self.written.name}: {each} ('geomid export' has it)" for each in self.written.missing_shapes]
-        return [*self.session.notes, *filter(None, [self.handover.note]), *shapes]
+        :attr:`reader` omits, or this ignores."""
+        return [*self.session.notes, *filter(None, [self.handover.note]), *self.written.omissions]
 
     def __repr__(self) -> str:
         """Reasons for doubt, the state of convergence, and a line for each link."""

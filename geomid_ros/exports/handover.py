@@ -179,9 +179,9 @@ class DescriptionTest:
         return DESCRIPTIONS[self.reader].whole(robot)
 
     @property
-    def missing_shapes(self) -> list[str]:
-        """Sentences on the shapes that an MJCF omits."""
-        return self._whole.omissions if self.reader == MUJOCO else []
+    def omissions(self) -> list[str]:
+        """Sentences on what the file omits or its reader ignores: shapes of an MJCF, for example."""
+        return [f"{self.name}: {sentence}" for sentence in self._whole.omissions]
 
     @property
     def files(self) -> dict[str, str]:
