@@ -47,7 +47,7 @@ _MOVEIT_NOTE = (
 )
 _ISAAC_NOTE = (
     "What reads it: Isaac Sim's URDF importer takes inertials (import_inertia_tensor). isaac_joints.json has armature,",
-    "friction (static), dynamic_friction and viscous_friction for Isaac Lab's actuators, efforts in N m since Isaac Sim",
+    "friction (static), dynamic_friction, viscous_friction for Isaac Lab's actuators, efforts in N m since Isaac Sim",
     "5.0 (PhysX's PxJointFrictionParams). Not tried here: no Isaac Sim is on the machines that test this.",
 )
 _ISAAC_FILE = "isaac_joints.json"
