@@ -12,16 +12,18 @@ import numpy as np
 
 from geomid_ros.api.options import CompareOptions
 from geomid_ros.api.robot import identified_urdf_path
-from geomid_ros.api.verify import read_test_samples, reasons_for_doubt
-from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
+from geomid_ros.api.verify import read_test_samples
+from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Difference, RobotValues, compare_robots
+from geomid_ros.estimation.estimate import UncertainInertia
 from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.exports.payload import Summand, total
 from geomid_ros.files.models.effects_file import coefficients_of, effect_name, with_places
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import attributes_entry, to_document
+from geomid_ros.geometry.pseudo_inertia import nearest_body
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
@@ -109,7 +111,7 @@ def compare(options: CompareOptions) -> Comparison:
         raise InputError(f"{first}, {second}: neither is an estimate.json; at least one must have standard deviations")
     values = [side.values if isinstance(side, EstimateFile) else _urdf_values(side, results[0]) for side in sides]
     _check_same_robot(sides, values)
-    doubts = [f"{result.source}: {reason}" for result in results for reason in result.judgement.reasons]
+    doubts = [doubt for result in results for doubt in result.doubts]
     status = max(result.judgement.status for result in results)
     errors = [side.rms.held_out or side.rms.train if isinstance(side, EstimateFile) else {} for side in sides]
     units = {row.channel: row.unit for result in results for row in result.channels}
@@ -117,9 +119,9 @@ def compare(options: CompareOptions) -> Comparison:
         predicted = [_errors_on_bags(side, options) for side in sides]
         errors = [rms for _, rms in predicted]
         units = {channel.name: channel.unit for session, _ in predicted for channel in session.model.channels}
-        reasons = [sentence for session, _ in predicted for sentence in reasons_for_doubt(session)]
-        doubts += reasons
-        status = max(status, STATUS[DOUBTFUL if reasons else USABLE])
+        verdicts = [recording_verdict(session.review.findings) for session, _ in predicted]
+        doubts += [reason for verdict in verdicts for reason in verdict.reasons]
+        status = max(status, *(verdict.status for verdict in verdicts))
     before, after = errors
     return Comparison(
         first=str(first),
@@ -131,7 +133,11 @@ def compare(options: CompareOptions) -> Comparison:
         ],
         judged_on=", ".join(map(str, paths(options.bag))) if options.bag else _OWN,
         doubts=list(dict.fromkeys(doubts)),
-        notes=[*_notes_on(results, own_data=not options.bag), *_only_in_one((first, second), values)],
+        notes=[
+            *_notes_on(results, own_data=not options.bag),
+            *(note for side in sides if isinstance(side, ExportModel) for note in _notes_on_urdf(side)),
+            *_only_in_one((first, second), values),
+        ],
         status=status,
     )
 
@@ -152,7 +158,7 @@ def _urdf_values(model: ExportModel, result: EstimateFile) -> RobotValues:
     """Return the values of a URDF for the bodies of a result, with zero standard deviations.
 
     Raises:
-        InputError: the URDF lacks a link, a link lacks an inertial, or a body is physically impossible.
+        InputError: the URDF lacks a link, a link lacks an inertial, or a body has no mass.
     """
     links = {}
     for name, body in result.values.links.items():
@@ -161,10 +167,21 @@ def _urdf_values(model: ExportModel, result: EstimateFile) -> RobotValues:
             raise _other_robot(model.source, model.tree.links, result.source, result.values.links)
         if not parts:
             raise InputError(f"{model.source}: link '{name}' has no <inertial>, and {result.source} has identified it")
-        terms = [Summand(model.bodies[link], model.placement(link, name), 1.0) for link in parts]
+        terms = [Summand(_repaired(model.bodies[link]), model.placement(link, name), 1.0) for link in parts]
         inertia = total(terms, f"{model.source}: link '{name}'")
         links[name] = replace(inertia, std=np.zeros(10), merged=body.merged)
     return RobotValues(links=links, effects=model.effects)
+
+
+def _repaired(body: UncertainInertia) -> UncertainInertia:
+    """Return the body as :class:`~geomid_ros.model.robot.Robot` reads it, with moments that are possible."""
+    return replace(body, parameters=nearest_body(body.parameters)) if body.mass > 0.0 else body
+
+
+def _notes_on_urdf(model: ExportModel) -> list[str]:
+    """Return a remark on the links whose moments are raised."""
+    names = [name for name, body in model.bodies.items() if _repaired(body).parameters is not body.parameters]
+    return [f"{model.source}: not physically consistent, moments are raised: {', '.join(names)}"] if names else []
 
 
 def _check_same_robot(sides: Sequence[_Side], values: Sequence[RobotValues]) -> None:

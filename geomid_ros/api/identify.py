@@ -24,7 +24,7 @@ from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.exports.handover import DescriptionTest, FileTest
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effects_file import write_sidecar
-from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import READERS, URDF, with_same_files
 from geomid_ros.gap.evidence.features import KnownRemainder
@@ -218,9 +218,8 @@ class Identification:
     @property
     def notes(self) -> list[str]:
         """Remarks that make nothing doubtful, as sentences: on the recordings, and on what the description for
-        :attr:`reader` omits."""
-        shapes = [f"{self.written.name}: {each} ('geomid export' has it)" for each in self.written.missing_shapes]
-        return [*self.session.notes, *filter(None, [self.handover.note]), *shapes]
+        :attr:`reader` omits, or this ignores."""
+        return [*self.session.notes, *filter(None, [self.handover.note]), *self.written.omissions]
 
     def __repr__(self) -> str:
         """Reasons for doubt, the state of convergence, and a line for each link."""
@@ -314,7 +313,8 @@ class Identification:
         for name, text in texts.items():
             write_text(folder / name, text)
         sidecar = folder / "effects.yaml"
-        write_sidecar(sidecar, self.session.robot.name, self.written.model.effects)
+        estimated = model_effects(self.estimate, self.session.loaded.effects)
+        write_sidecar(sidecar, self.session.robot.name, self.written.model.effects, estimated=estimated)
         document = self._document(command)
         write_json(folder / "estimate.json", document)
         posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior, self._remainder(folder, progress))

@@ -97,7 +97,7 @@ def verify(options: VerifyOptions) -> Verification:
     return Verification(
         session=session,
         rms=values["rms"],
-        doubts=reasons_for_doubt(session),
+        doubts=[*file.doubts, *recording_verdict(session.review.findings).reasons],
         outcomes=[outcome for requirement in required for outcome in requirement.checked(values)],
     )
 
@@ -126,11 +126,6 @@ def read_test_samples(
         parameters = parameters.with_values({"filter.cutoff": float(cutoff)})
     checked = check_command_efforts(options, parameters)
     return robot.read(Session, checked, lambda session: read_fitted(session, recorded, options.progress))
-
-
-def reasons_for_doubt(session: Session) -> list[str]:
-    """Return reasons not to trust a model or the recordings that it was tested on."""
-    return [*filter(None, [session.loaded.warning]), *recording_verdict(session.review.findings).reasons]
 
 
 def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) -> dict[str, Values]:

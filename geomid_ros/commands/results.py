@@ -101,7 +101,8 @@ def _show_verification(result: geomid_ros.Verification) -> None:
     from geomid_ros.checks.verdict import DOUBTFUL
 
     console = results_console()
-    warnings = [sentence for sentence in result.session.review.warnings() if sentence not in result.doubts]
+    said = {result.session.loaded.warning, *result.doubts}
+    warnings = [sentence for sentence in result.session.review.warnings() if sentence not in said]
     print_remarks(console, {DOUBTFUL.upper(): result.doubts, "Warning": warnings, "Note": result.session.notes})
     given = Path(result.session.robot.source).name or "URDF"
     table = plain_table("RMS of the residual", ["channel"], ["unit", given, "model", "floor"])
@@ -116,11 +117,13 @@ def _show_verification(result: geomid_ros.Verification) -> None:
         console.print(table)
     checked = [outcome.passed for outcome in result.outcomes if outcome.passed is not None]
     skipped = len(result.outcomes) - len(checked)
-    summary = f"{sum(checked)} of {len(checked)} requirements hold" + (f", {skipped} not checked" if skipped else "")
-    if result.outcomes or result.doubts:
-        say(console, "PASSED:" if result.passed else "FAILED:", f" {summary}" + ("; doubtful" if result.doubts else ""))
-    else:
-        say(console, "", "No requirement is given (--require): nothing was checked.")
+    summary = [f"{sum(checked)} of {len(checked)} requirements hold"] if result.outcomes else [_NOT_REQUIRED]
+    summary += [f"{skipped} not checked"] * bool(skipped) + ["doubtful"] * bool(result.doubts)
+    heading = "FAILED" if not result.passed else "PASSED" if result.outcomes else "NOT CHECKED"
+    say(console, f"{heading}:", f" {', '.join(summary)}")
+
+
+_NOT_REQUIRED = "no requirement is given (--require)"
 
 
 def _number(value: float) -> str:

@@ -15,7 +15,8 @@ tried to first order about the present fit (``trials.py``); only what is taken i
 A robot description can hold some effects but not others: a URDF has damping and friction, but no rotor inertia.
 Dropping an effect from a fit that needs it makes the file worse than one without any effects. So each file has its own
 minimum, over the inertias and the effects that it holds. The other effects are part of the noise, which is estimated
-anew. But inertias may also follow what is missing where only this recording has it, and predict other motion badly. So
+anew. Inertias stand in for a rotor that the file lacks; masses would, too, so they are known as they were estimated.
+But inertias may also follow what is missing where only this recording has it, and predict other motion badly. So
 the file keeps the estimate's links, unless others predict folds of time better that were left out of the fit. The block
 weights of a coupled prior are those of the estimate. Errors of sensors stay in the fit: they move nothing, and a file
 need not hold them, but without them a mass would absorb an offset. Those that are not significant are left out: weights
@@ -171,7 +172,7 @@ def fit_files(
     files: Mapping[str, tuple[str, ...]],
     insignificant_errors: IntArray,
     choose: Callable[[IntArray, IntArray], IntArray],
-    fitted: Callable[[IntArray], FloatArray],
+    fitted: Callable[[IntArray, bool], FloatArray],
 ) -> dict[str, FloatArray]:
     """Fit the parameters ``(D,)`` within each of the ``files``; zero for effects that a file does not hold.
 
@@ -182,19 +183,27 @@ def fit_files(
         insignificant_errors: columns of sensor errors that are not significant.
         choose: chooses effects among the columns that a file can hold, starting from those of the estimate among them:
             other effects may absorb one that the file lacks.
-        fitted: fits the parameters of some columns.
+        fitted: fits the parameters of some columns; True if the file cannot hold what a mass may stand in for.
     """
     by_columns: dict[tuple[int, ...], FloatArray] = {}
     within = {}
     for reader, elements in files.items():
         held = np.setdiff1d(held_columns(model, np.arange(model.dimension), elements), insignificant_errors)
         columns = choose(held, np.setdiff1d(held_columns(model, estimate_columns, elements), insignificant_errors))
-        if (key := tuple(columns.tolist())) not in by_columns:  # different files may hold the same columns
+        lacks = _lacks_like_mass(model, estimate_columns, elements)
+        if (key := (lacks, *columns.tolist())) not in by_columns:  # different files may hold the same columns
             parameters = np.zeros(model.dimension)
-            parameters[columns] = fitted(columns)
+            parameters[columns] = fitted(columns, lacks)
             by_columns[key] = frozen(parameters)
         within[reader] = by_columns[key]
     return within
+
+
+def _lacks_like_mass(model: MeasurementModel, columns: IntArray, elements: Collection[str]) -> bool:
+    """True if a file with these ``elements`` cannot hold an effect among ``columns`` that a mass may stand in for."""
+    first = len(model.nominal_inertias)
+    coefficients = [model.coefficients[column - first] for column in columns.tolist() if column >= first]
+    return any(c.effect.confusable_with_payload and not _is_held(c, elements) for c in coefficients)
 
 
 def file_fit(own: Fit, estimate: Fit) -> FloatArray:

@@ -151,8 +151,10 @@ def estimate(
         start: WarmStart | None = None,
         alternative: Choice | None = None,
         weights: Mapping[str, float] | None = None,
+        masses: WeighedRows | None = None,
     ) -> _Solved:
-        problem = replace(subproblem(full_problem, columns), independent_fraction=independent)
+        whole = full_problem if masses is None else full_problem.with_known_rows(masses)
+        problem = replace(subproblem(whole, columns), independent_fraction=independent)
         solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
         if start is not None:
             solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), prior_stds=start.spreads)
@@ -184,11 +186,23 @@ def estimate(
 
     found, weights, notes = solved
     errors = _insignificant_errors(model, minimum, columns)
-    within = fit_files(
-        model, columns, settings.files, errors, among, lambda held: file_fit(fitted(held, weights=weights)[0], found)
-    )
     result = _estimate(columns, full_problem, minimum, notes)
+    within = fit_files(
+        model,
+        columns,
+        settings.files,
+        errors,
+        among,
+        lambda held, like: file_fit(fitted(held, weights=weights, masses=_masses(result) if like else None)[0], found),
+    )
     return replace(result, within=within, seconds=time.perf_counter() - begin)
+
+
+def _masses(found: Estimate) -> WeighedRows:
+    """Return the masses of an estimate's links as known rows, each with its standard deviation."""
+    rows = np.zeros((len(found.links), len(found.parameters)))
+    rows[:, : 10 * len(rows) : 10] = np.diag([1.0 / link.std_mass for link in found.links])
+    return WeighedRows(rows, rows @ found.parameters)
 
 
 def _coupled_prior(settings: EstimatorSettings, problem: Problem) -> CoupledPrior | None:

@@ -46,12 +46,15 @@ _MOVEIT_NOTE = (
     "<dynamics> nothing. The same elements stand in a xacro file.",
 )
 _ISAAC_NOTE = (
-    "What reads it: Isaac Sim's URDF importer takes inertials (import_inertia_tensor); <dynamics> up to 6.0, 6.1 drops",
-    "them without a word (IsaacSim issue 841). So give the actuators of Isaac Lab the numbers of isaac_joints.json:",
-    "armature, friction (static), dynamic_friction and viscous_friction, efforts in N m since Isaac Sim 5.0 (PhysX's",
-    "PxJointFrictionParams). Not tried here: there is no Isaac Sim on the machines that test this.",
+    "What reads it: Isaac Sim's URDF importer takes inertials (import_inertia_tensor). isaac_joints.json has armature,",
+    "friction (static), dynamic_friction, viscous_friction for Isaac Lab's actuators, efforts in N m since Isaac Sim",
+    "5.0 (PhysX's PxJointFrictionParams). Not tried here: no Isaac Sim is on the machines that test this.",
 )
 _ISAAC_FILE = "isaac_joints.json"
+_ISAAC_DROPS = (
+    f"Isaac Sim 6.1 ignores <dynamics> (IsaacSim issue 841): give Isaac Lab's actuators the numbers of {_ISAAC_FILE}. "
+    "Up to 6.0 it makes the drives' damping of it, which adds to viscous_friction"
+)
 # Names of MJCF joint attributes by those of Isaac Lab's actuators.
 _ISAAC_JOINT = {
     "armature": "armature",
@@ -107,6 +110,7 @@ def described(
     """Return the whole robot for a reader, followed by a comment on its ``links`` and on what the text omits."""
     text, omissions, beside = DESCRIPTIONS[reader].whole(as_described(model, packages))
     lacks = [*not_representable(model, ELEMENTS[reader]), *omissions]
+    lacks += [f"{name}: {' '.join(text.split())}" for name, text in beside.items()]
     lines = [*DESCRIPTIONS[reader].note, *lacks, *(line for export in links for line in formats.comments(export))]
     return DescriptionFiles(text.rstrip() + "\n" + formats.xml_comment(lines), lacks, beside)
 
@@ -129,9 +133,7 @@ def _isaac(robot: RobotToDescribe) -> DescriptionFiles:
         for joint, values in attributes.items()
     }
     text = with_effects(robot.urdf, robot.effects)
-    return DescriptionFiles(
-        text, [f"{_ISAAC_FILE}: {json.dumps(joints)}"], {_ISAAC_FILE: json.dumps(joints, indent=2) + "\n"}
-    )
+    return DescriptionFiles(text, [_ISAAC_DROPS], {_ISAAC_FILE: json.dumps(joints, indent=2) + "\n"})
 
 
 def _gazebo(robot: RobotToDescribe) -> DescriptionFiles:
@@ -154,6 +156,7 @@ def _missing(shapes: Shapes) -> list[str]:
     count = sum(map(len, shapes.missing.values()))
     return [
         f"{count} shape{'s' * (count > 1)} missing, the first of link '{links[0]}': {reason}"
+        + " (an option of 'geomid export')" * ("--package-path" in reason)
         for reason, links in [*shapes.missing.items()][:1]
     ]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, UncertainInertia
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, RobotToDescribe
 from geomid_ros.files.models.effects_file import coefficients_of, effect_name, unrepresentable, with_places
 from geomid_ros.files.models.estimate_file import model_effects
@@ -179,9 +179,9 @@ class DescriptionTest:
         return DESCRIPTIONS[self.reader].whole(robot)
 
     @property
-    def missing_shapes(self) -> list[str]:
-        """Sentences on the shapes that an MJCF omits."""
-        return self._whole.omissions if self.reader == MUJOCO else []
+    def omissions(self) -> list[str]:
+        """Sentences on what the file omits or its reader ignores: shapes of an MJCF, for example."""
+        return [f"{self.name}: {sentence}" for sentence in self._whole.omissions]
 
     @property
     def files(self) -> dict[str, str]:
@@ -191,12 +191,10 @@ class DescriptionTest:
     def evaluate(self, batches: Sequence[Samples], full_rms: Mapping[str, float]) -> FileTest:
         """Test the file on samples. ``full_rms``: residual RMS of the full estimate on them, by channel. Raises
         InputError if MuJoCo or pinocchio rejects it."""
-        model = self.session.model
-        of_sensors = [effect for effect in self.model.effects if effect_class(effect.effect).is_sensor_error]
-        errors = np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
         effects = model_effects(self.estimate, self.session.loaded.effects)
+        links = {link.name: link for link in self.estimate.links}
         return evaluate_description(
-            self.session, self.reader, self._whole, batches, full_rms, effects=effects, errors=errors
+            self.session, self.reader, self._whole, batches, full_rms, effects, self.model.effects, links
         )
 
 
@@ -218,6 +216,13 @@ def _added(read: ReadBack, effects: Iterable[KnownEffect]) -> tuple[str, ...]:
     return tuple(with_places((effect_name(names[at]), joint) for joint, at in added))
 
 
+def _bent(read: ReadBack, links: Mapping[str, UncertainInertia]) -> tuple[str, ...]:
+    """Links in words whose mass in a description is outside of its 95 % interval: they stand in for what it lacks."""
+    masses = {name: (float(read.inertias[name][0]), *link.mass_interval) for name, link in links.items()}
+    outside = {name: numbers for name, numbers in masses.items() if not numbers[1] <= numbers[0] <= numbers[2]}
+    return tuple(f"'{n}' {own:.3g} kg (identified: {low:.3g} to {high:.3g})" for n, (own, low, high) in outside.items())
+
+
 def file_name(reader: str) -> str:
     """Return the name of the file for a reader."""
     names = {URDF: "identified.urdf", "moveit": "identified.urdf", MUJOCO: "identified.xml"}
@@ -237,6 +242,7 @@ class FileTest:
         full_rms: of the full estimate, including effects that the file cannot represent.
         omissions: effects of the estimate that the file cannot represent, in words.
         added: effects of the file that the estimate has not, in words.
+        bent: links of the file whose masses are not the estimate's, in words.
         fuller: readers of the formats that can represent most of them, if these can represent more.
     """
 
@@ -248,6 +254,7 @@ class FileTest:
     full_rms: Mapping[str, float]
     omissions: Sequence[str] = ()
     added: Sequence[str] = ()
+    bent: Sequence[str] = ()
     fuller: Sequence[str] = ()
 
     @property
@@ -269,15 +276,14 @@ class FileTest:
         worse that the estimate predicts better; and sensor errors, which are beside the file."""
         lost, offsets = self._lost, self._degraded[_OFFSETS]
         return [
-            *([f"{lost}: {self._differs}; {self._advice}"] if lost else []),
+            *([f"{': '.join(filter(None, [lost, self._differs]))}; {self._advice}"] if lost else []),
             *([f"{self._worse_at(offsets)}, but not with {_ADD}"] if offsets else []),
         ]
 
     @property
     def note(self) -> str:
-        """Sentence on the effects that the file lacks or adds; empty if there are none, or if :attr:`limited` has
-        it."""
-        if self._lost or not (self.omissions or self.added):
+        """Sentence on what the file lacks or has instead; empty if there is nothing, or if :attr:`limited` has it."""
+        if self._lost or not self._differs:
             return ""
         return f"{self.name}: {self._differs}{'; estimate.json has them' * bool(self.omissions)}"
 
@@ -295,10 +301,10 @@ class FileTest:
 
     @property
     def _differs(self) -> str:
-        """Clause on the effects that the file adds to the estimate's, and on those that it lacks."""
-        adds = [f"adds {', '.join(self.added)}"] if self.added else []
-        lacks = [f"cannot represent {', '.join(self.omissions) or 'all that was found'}"]
-        return f"the file {' and '.join(adds + (lacks if self.omissions or not adds else []))}"
+        """Clause on what the file has that the estimate has not, and the reverse; empty if there is nothing."""
+        lists = {"adds": self.added, "cannot represent": self.omissions, "has other masses instead:": self.bent}
+        clauses = [f"{verb} {', '.join(names)}" for verb, names in lists.items() if names]
+        return f"the file {' and '.join(clauses)}" if clauses else ""
 
     @property
     def _advice(self) -> str:
@@ -327,7 +333,7 @@ class FileTest:
         return {"file": self.name, "loaded_by": self.program, **attributes_entry(self, *_OF_ENTRY)}
 
 
-_OF_ENTRY = ("alone", "corrected", "given", "omissions", "added")
+_OF_ENTRY = ("alone", "corrected", "given", "omissions", "added", "bent")
 _OFFSETS, _FIT, _FORMAT = "offsets", "fit", "format"
 _RECORD = (
     "the fit does not generalise to this motion. Record more motion there, in more poses, and check that there was no "
@@ -337,7 +343,7 @@ _ADD = (
     "the sensor errors of effects.yaml: add these to its predictions, or record more motion, as they may be due to "
     "masses instead"
 )
-_NO_FORMAT = "no format holds more of them; where they matter, use estimate.json"
+_NO_FORMAT = "no format holds more; where that matters, use estimate.json"
 
 
 def evaluate_description(
@@ -347,7 +353,8 @@ def evaluate_description(
     batches: Sequence[Samples],
     full_rms: Mapping[str, float],
     effects: Sequence[KnownEffect],
-    errors: FloatArray | float = 0.0,
+    beside: Sequence[KnownEffect] = (),
+    links: Mapping[str, UncertainInertia] = MappingProxyType({}),
 ) -> FileTest:
     """Test a description on samples, loaded by MuJoCo if it is an MJCF, else by pinocchio.
 
@@ -358,7 +365,8 @@ def evaluate_description(
         batches: samples to test on.
         full_rms: residual RMS of the full estimate on them, by channel.
         effects: effects of the full estimate.
-        errors: parameters ``(D,)`` of the sensor errors in files beside it.
+        beside: effects of the model that is written; its sensor errors are in a file beside the description.
+        links: links of the full estimate, by name.
 
     Raises:
         InputError: MuJoCo or pinocchio rejects the description.
@@ -369,7 +377,10 @@ def evaluate_description(
     else:
         written = read_urdf_back(session.read_robot(description.text, name), reader, description.extra_files)
     given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
-    model, kinds = session.model, ((written, 0.0), (written, errors), (given, 0.0))
+    model = session.model
+    of_sensors = [effect for effect in beside if effect_class(effect.effect).is_sensor_error]
+    errors = np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
+    kinds = ((written, 0.0), (written, errors), (given, 0.0))
     parameters = np.column_stack([read.parameters(model) + offsets for read, offsets in kinds])
 
     def added(samples: Samples) -> FloatArray:
@@ -387,5 +398,6 @@ def evaluate_description(
         full_rms=full_rms,
         omissions=tuple(unrepresentable(effects, ELEMENTS[reader])),
         added=_added(written, effects),
+        bent=_bent(written, links),
         fuller=_fuller(effects, reader),
     )

@@ -110,6 +110,7 @@ def _bodies(session: Session, estimate: Estimate, pose: Samples) -> list[BodyDra
             Ellipsoid.of(nominal[index], *frames[link.name]),
             Ellipsoid.of(link.parameters, *frames[link.name]),
             link.from_data,
+            link.std_mass,
         )
         for index, link in enumerate(estimate.links)
     ]
@@ -395,7 +396,7 @@ def _draw_table(area: Axes, bodies: Sequence[BodyDrawing]) -> None:
     most = sorted(enumerate(bodies, 1), key=lambda numbered: -_share(numbered[1].from_data))[:MOST_ROWS]
     shown = sorted(most, key=lambda numbered: numbered[0])
     hidden = len(bodies) - len(shown)
-    for x, text, ha in ((0.0, "link", "left"), (2.74, "mass [kg]", "right"), (_TABLE_WIDTH, "from data", "right")):
+    for x, text, ha in ((0.0, "link", "left"), (2.28, "mass [kg]", "right"), (_TABLE_WIDTH, "from data", "right")):
         add_text(area, x, 0.06, text, 9.5, FAINT, ha=ha)
     area.plot([0.0, _TABLE_WIDTH], [0.22, 0.22], color=FRAME, lw=0.8)
     row = (area.get_ylim()[0] - 0.32) / (len(shown) + (hidden > 0))
@@ -409,10 +410,12 @@ def _draw_row(area: Axes, y: float, number: int, body: BodyDrawing) -> None:
     share = _share(body.from_data)
     color = _SHARES(share)[:3]
     _draw_badge(area, _BADGE, y, number, body, 1.0)
-    add_text(area, 0.28, y, shortened(body.name, 1.3, 9.0), 9.0)
-    add_text(area, 2.05, y, written(body.prior.mass), 9.5, FAINT, ha="right")
-    add_text(area, 2.17, y, "→", 9.5, FAINT, ha="center")
-    add_text(area, 2.74, y, written(body.identified.mass), 9.5, weight="bold", ha="right")
+    add_text(area, 0.28, y, shortened(body.name, 0.95, 9.0), 9.0)
+    add_text(area, 1.64, y, written(body.prior.mass), 9.5, FAINT, ha="right")
+    add_text(area, 1.74, y, "→", 9.5, FAINT, ha="center")
+    add_text(area, 2.28, y, written(body.identified.mass), 9.5, weight="bold", ha="right")
+    if np.isfinite(body.std_mass):
+        add_text(area, 2.32, y, f"± {written(body.std_mass)}", 8.5, FAINT)
     area.add_artist(Rectangle((2.92, y - 0.055), 0.5, 0.11, fc=GRID, lw=0.0))
     area.add_artist(Rectangle((2.92, y - 0.055), 0.5 * share, 0.11, fc=color, lw=0.0))
     percent = f"{100.0 * body.from_data:.0f} %" if np.isfinite(body.from_data) else NONE

@@ -54,6 +54,7 @@ class BodyDrawing:
         parent_origin: start of the stick to it, ``(3,)`` [m]; None for no stick.
         prior, identified: its body before and after.
         from_data: fraction of the prior variance that the data removed, 0 to 1.
+        std_mass: standard deviation of the identified mass [kg], NaN if unknown.
     """
 
     name: str
@@ -62,6 +63,7 @@ class BodyDrawing:
     prior: Ellipsoid
     identified: Ellipsoid
     from_data: float
+    std_mass: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)

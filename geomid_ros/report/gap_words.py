@@ -144,8 +144,7 @@ def _verdict(result: GapResult) -> str:
     if result.verdict == "incomplete":
         rest = f" A residual remains {missing}." if missing else ""
         return f"Found: {named or 'no effect'}.{rest}"
-    also = f" Also found: {named}." if named else ""
-    return f"No known effect explains the residual {missing or 'of several joints'}.{also}"
+    return f"No known effect explains the residual {missing or 'of several joints'}."
 
 
 def _left(result: GapResult) -> str:
@@ -180,8 +179,8 @@ def common_effects(result: GapResult) -> list[str]:
 
 
 def summary(result: GapResult) -> list[str]:
-    """Summarise the result in at most five sentences after the verdict: sure and possible effects with their sizes,
-    effects that have rivals as likely, the unexplained remainder, and the next recording."""
+    """Summarise the result in at most four sentences after the verdict: sure and possible effects with their sizes,
+    effects that have rivals as likely, and the unexplained remainder."""
     gains = _common_gain(result)
     named: list[Finding | LinkChange] = [*(f for f in result.findings if f not in gains), *result.links]
     named.sort(key=lambda part: -part.loss)
@@ -192,13 +191,11 @@ def summary(result: GapResult) -> list[str]:
         phrase = f"efforts of all joints {low:.3g} to {high:.3g} times as large"
         lines.insert(0, ("confident" if sure else "tentative", phrase))
     rest = [f"{joint} {ratio(times)} times the floor, depends on {on}" for joint, times, on in not_explained(result)]
-    record = next_recordings(result)
     sentences = {
         "Sure": _few([phrase for confidence, phrase in lines if confidence == "confident"]),
         "Possible": _few([phrase for confidence, phrase in lines if confidence == "tentative"]),
         "Ambiguous": _few([phrase for confidence, phrase in lines if confidence == "ambiguous"]),
         "Unexplained": "; ".join(rest),
-        "Record next": f"{record[0]}{_more(len(record) - 1)}" if record else "",
     }
     return [f"{about}: {sentence}." for about, sentence in sentences.items() if sentence]
 
@@ -225,11 +222,8 @@ def _described(part: Finding | LinkChange) -> str:
 
 
 def _few(parts: Sequence[str]) -> str:
-    return "; ".join(parts[:MOST_LISTED]) + _more(len(parts) - MOST_LISTED)
-
-
-def _more(count: int) -> str:
-    return f"; {count} more below" if count > 0 else ""
+    more = len(parts) - MOST_LISTED
+    return "; ".join(parts[:MOST_LISTED]) + (f"; {more} more below" if more > 0 else "")
 
 
 def _sized(finding: Finding) -> str:

@@ -62,7 +62,7 @@ def test_a_requirement_that_does_not_hold(model: Path) -> None:
 
 def test_without_requirements_nothing_passes_or_fails(model: Path) -> None:
     output = done(*verify(model))
-    assert "No requirement is given (--require): nothing was checked." in output
+    assert "NOT CHECKED: no requirement is given (--require)" in output
     assert "PASSED" not in output
 
 
@@ -93,7 +93,9 @@ def test_a_doubtful_model_never_passes(model: Path, tmp_path: Path) -> None:
     doubtful = altered(model, tmp_path, verdict={"result": "doubtful", "reasons": ["its signs are reversed"]})
     result = geomid(*verify(doubtful, "rms<urdf"))
     assert result.exit_code == 1
-    assert "its signs are reversed" in result.stdout
+    assert "its signs are reversed" in " ".join(result.stdout.split())
+    assert "verdict is" not in result.stdout  # the heading says it
+    assert "FAILED: no requirement is given (--require), doubtful" in geomid(*verify(doubtful)).stdout
 
 
 def test_refusals(model: Path, tmp_path: Path) -> None:

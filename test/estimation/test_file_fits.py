@@ -53,6 +53,14 @@ def test_what_a_file_lacks_is_made_up_for_by_the_rest() -> None:
     assert error(case, found.within["urdf"]) < error(case, dropped)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_no_mass_stands_in_for_what_a_file_lacks(seed: int) -> None:
+    """Inertias do, for rotors. Masses are known from gravity, as well as the estimate says."""
+    found = solved(arm("arm3", seed, noise=0.05), files=URDF)
+    for place, link in enumerate(found.links):
+        assert abs(found.within["urdf"][10 * place] - link.mass) < 3.0 * link.std_mass, link.name
+
+
 def test_links_change_only_for_a_better_prediction() -> None:
     """What noise hides is no reason: with it the links of some robots are the estimate's."""
     held = []
@@ -193,7 +201,7 @@ def test_of_all_that_a_file_holds_the_rows_choose_anew() -> None:
         return held
 
     files = {"mujoco": ELEMENTS["mujoco"]}
-    within = fit_files(model, chosen, files, none, choose, lambda columns: np.ones(len(columns)))["mujoco"]
+    within = fit_files(model, chosen, files, none, choose, lambda columns, _: np.ones(len(columns)))["mujoco"]
     held, begun = asked
     assert (held - begun, "stribeck_friction" in held) == ({"spring"}, False)
     springs = [k for k in range(first, model.dimension) if names[k - first + 1] == "spring"]
@@ -209,7 +217,7 @@ def test_files_that_are_asked_to_hold_the_same_are_fitted_once() -> None:
     chosen = np.setdiff1d(np.arange(model.dimension), len(model.nominal_inertias) + np.flatnonzero(springs))
     none = np.zeros(0, dtype=np.int64)
 
-    def fitted(columns: FloatArray) -> FloatArray:
+    def fitted(columns: FloatArray, _: bool) -> FloatArray:
         fits.append(columns)
         return np.full(len(columns), float(len(fits)))
 

@@ -177,6 +177,7 @@ def test_what_a_format_cannot_say_is_said(tool: str, tmp_path: Path) -> None:
     said = {*sentence.removeprefix("Not representable here: ").split("; ")}
     assert said == CANNOT[tool] | {"load friction of joint3"}
     assert sentence in whole.text
+    assert any("ignores <dynamics>" in each for each in whole.omissions) == (tool == "isaac")
 
 
 def test_shapes_come_along_as_far_as_their_meshes_are_found(tmp_path: Path) -> None:

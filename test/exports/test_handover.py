@@ -132,6 +132,10 @@ def test_what_a_file_holds_beyond_the_estimate_is_said() -> None:
         judged = DescriptionTest(session, replace(estimate, effects=effects), "mujoco").evaluate((), rich().rms)
         assert judged.note == note
         assert judged.entry["added"] == ["spring of joint2"] * bool(note)
+    heavy = replace(estimate, links=tuple(replace(link, parameters=1e3 * link.parameters) for link in estimate.links))
+    judged = DescriptionTest(session, heavy, "mujoco").evaluate((), rich().rms)
+    assert judged.note.startswith("identified.xml: the file has other masses instead: 'link1' ")
+    assert len(judged.bent) == 3
 
 
 def test_a_deviation_beside_a_value_is_that_of_this_value() -> None:

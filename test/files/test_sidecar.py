@@ -47,9 +47,11 @@ def test_round_trip(tmp_path: Path) -> None:
 
 def test_it_explains_itself(tmp_path: Path) -> None:
     path = tmp_path / "effects.yaml"
-    write_sidecar(path, "arm", [effect("stribeck_friction", "joint1", level=1.0, excess=0.5, speed=0.1)])
+    own, lacking = effect("stribeck_friction", "joint1", level=1.0, excess=0.5, speed=0.1), effect("spring", "joint2")
+    write_sidecar(path, "arm", [own], estimated=[own, lacking])
     comments = [line for line in path.read_text().splitlines() if line.startswith("#")]
     assert any("level + excess exp(-(v/speed)^2)" in line for line in comments)
+    assert "links that belong to them: spring of joint2." in " ".join(comments).replace(" # ", " ")
     (entry,) = yaml.safe_load(path.read_text())["effects"]
     assert (entry["urdf"], entry["mjcf"]) == (["level"], ["level"])
 

@@ -158,6 +158,15 @@ def test_what_to_record_next() -> None:
     ]
 
 
+def test_verdict_and_summary_repeat_nothing() -> None:
+    """Neither each other nor the list of recordings below them."""
+    case = replace(gap_result("unexplained", JOINTS), findings=gap_result("ambiguous", JOINTS).findings)
+    said = " ".join([verdict_sentence(case), *summary(case)])
+    assert said.count("Coulomb friction at knee") == 1
+    assert next_recordings(case)
+    assert not any(recording.partition(" (for")[0] in said for recording in next_recordings(case))
+
+
 def test_what_to_record_next_of_several_places() -> None:
     """A motion of several joints is one of each; what is left on the base of legs is no joint's."""
     case, (finding,) = gap_result("unexplained", JOINTS), gap_result("ambiguous", JOINTS).findings

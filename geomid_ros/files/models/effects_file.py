@@ -1,6 +1,7 @@
 """Effects of a model in files: their values in robot descriptions, and ``effects.yaml``.
 
-``effects.yaml`` is the sidecar that contains all effects of a model, also those that its URDF and MJCF cannot hold.
+``effects.yaml`` is the sidecar of a robot description. It contains all effects of the model that the description was
+fitted with, also those that this cannot hold, and names in a comment what the estimate has in addition.
 
 ::
 
@@ -22,6 +23,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -265,15 +267,27 @@ def effects_entries(
 
 
 def write_sidecar(
-    path: Path, robot: str, effects: Sequence[KnownEffect], alone: Sequence[KnownEffect] | None = None
+    path: Path,
+    robot: str,
+    effects: Sequence[KnownEffect],
+    alone: Sequence[KnownEffect] | None = None,
+    estimated: Iterable[KnownEffect] = (),
 ) -> None:
-    """Write the sidecar of a robot. ``alone``: the same effects with their values in URDF and MJCF, if these differ."""
+    """Write the sidecar of a robot. ``alone``: the same effects with their values in URDF and MJCF, if these differ.
+    ``estimated``: effects of the estimate; those that are not among the ``effects`` are named."""
     entries = [_entry(*pair) for pair in zip(effects, effects if alone is None else alone, strict=True)]
     document = {"format": FORMAT, "robot": robot, "effects": entries}
     text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
     names = dict.fromkeys(entry["effect"] for entry in entries)
     meanings = "".join(f"#   {name}: {effect_class(name).meaning}\n" for name in names)
-    write_text(path, _HEADER + meanings + text)
+    own = {(effect.effect, effect.link or effect.joint) for effect in effects}
+    places = [(effect.effect, effect.link or effect.joint) for effect in estimated]
+    lacking = with_places((effect_name(name), place) for name, place in places if (name, place) not in own)
+    comment = textwrap.fill(f"{_LACKING} {', '.join(lacking)}.", 120, initial_indent="# ", subsequent_indent="# ")
+    write_text(path, _HEADER + meanings + (comment + "\n" if lacking else "") + text)
+
+
+_LACKING = "Fitted without these effects of the estimate, which estimate.json has, with the links that belong to them:"
 
 
 def _entry(effect: KnownEffect, alone: KnownEffect) -> dict[str, Any]:

@@ -253,13 +253,20 @@ class EstimateFile:
         return next((entry.file for entry in self.handover.values() if entry.file), "identified.urdf")
 
     @property
+    def doubts(self) -> list[str]:
+        """Reasons not to use the estimate, each after its file; none if it is usable."""
+        return [f"{self.source}: {reason}" for reason in self._doubts]
+
+    @property
     def warning(self) -> str:
         """Sentence on why the estimate should not be used; empty if it is usable."""
+        reasons = "; ".join(self._doubts)
+        return f"{self.source}: this model's verdict is '{self.judgement.word}': {reasons}" if reasons else ""
+
+    @property
+    def _doubts(self) -> tuple[str, ...]:
         verdict = self.judgement
-        if verdict.word == USABLE:
-            return ""
-        reasons = "; ".join(verdict.reasons) or "no reason is given"
-        return f"{self.source}: this model's verdict is '{verdict.word}': {reasons}"
+        return () if verdict.word == USABLE else verdict.reasons or ("no reason is given",)
 
     @cached_property
     def bodies(self) -> dict[str, LinkEstimate]:

@@ -100,7 +100,8 @@ def write_model(
     write_text(folder / IDENTIFIED, with_effects(with_inertials(whole, links, removed), of_urdf.effects))
     write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity, shapes))
     of_sidecar = with_same_files(reader)
-    write_sidecar(folder / EFFECTS_FILE, model.robot.name, models[of_sidecar].effects, alone[of_sidecar].effects)
+    in_sidecar = models[of_sidecar].effects, alone[of_sidecar].effects
+    write_sidecar(folder / EFFECTS_FILE, model.robot.name, *in_sidecar, estimated=effects)
     return [folder / name for name in (ESTIMATE, IDENTIFIED, MJCF, EFFECTS_FILE)]
 
 
