@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import Estimate, interval_of_positive
-from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.estimation.estimator import WarmStart, estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import WrenchSensor
@@ -19,7 +19,7 @@ from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
-from .arms import ALL_EFFECTS, Case, Truth, arm, efforts, identifier, solved
+from .arms import ALL_EFFECTS, Case, Truth, arm, efforts, identifier, solved, summary
 
 NOISE = 0.05
 
@@ -162,6 +162,18 @@ def test_a_link_is_no_better_known_than_a_rotor_that_is_one_with_it() -> None:
     found = solved(replace(usual, model=model).with_efforts(felt + noise))
     rotor = next(effect for effect in found.effects if effect.name == "rotor_inertia")
     assert found.links[0].std[9] > 0.75 * rotor.std
+
+
+def test_intervals_of_masses_hold_the_truth_where_the_urdf_has_placeholders() -> None:
+    """Of 1 kg and some centimetres. The nearest bodies with the first moments that gravity shows are thin."""
+    case = arm("arm3", 0)
+    true, prior = case.model.nominal_parameters, np.full(case.model.dimension, np.nan)
+    prior[:30] = np.tile([1.0, 0.0, 0.0, 0.0, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3], 3)
+    rows = case.model.rows(case.samples).coefficients
+    targets = rows @ true + 1e-2 * np.random.default_rng(1).normal(size=rows.shape[:2])
+    found = estimate(case.model, summary(case.model, rows, targets), prior=prior)
+    for link, mass in zip(found.links, true[:30:10], strict=True):
+        assert abs(np.log(mass / link.mass)) < 4.0 * link.std_mass / link.mass
 
 
 _ROUND = '<inertia ixx="0.5" ixy="0" ixz="0" iyy="0.5" iyz="0" izz="0.5"/>'
