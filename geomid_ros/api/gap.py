@@ -89,7 +89,7 @@ class Gap:
         parameters = session.configuration.with_values({"effects": sorted(errors), "candidates": []})
         with_errors = Session(session.urdf, parameters, session.robot.source)
         test = with_errors, self.reader, self._description, self.held_out, identified
-        return evaluate_description(*test, written.known, written.effects)
+        return evaluate_description(*test, effects=written.known, beside=written.effects)
 
     @cached_property
     def _written(self) -> ExportModel:

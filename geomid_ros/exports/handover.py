@@ -191,10 +191,15 @@ class DescriptionTest:
     def evaluate(self, batches: Sequence[Samples], full_rms: Mapping[str, float]) -> FileTest:
         """Test the file on samples. ``full_rms``: residual RMS of the full estimate on them, by channel. Raises
         InputError if MuJoCo or pinocchio rejects it."""
-        effects = model_effects(self.estimate, self.session.loaded.effects)
-        links = {link.name: link for link in self.estimate.links}
         return evaluate_description(
-            self.session, self.reader, self._whole, batches, full_rms, effects, self.model.effects, links
+            self.session,
+            self.reader,
+            self._whole,
+            batches,
+            full_rms,
+            effects=model_effects(self.estimate, self.session.loaded.effects),
+            beside=self.model.effects,
+            links={link.name: link for link in self.estimate.links},
         )
 
 

@@ -110,7 +110,7 @@ def _bodies(session: Session, estimate: Estimate, pose: Samples) -> list[BodyDra
             Ellipsoid.of(nominal[index], *frames[link.name]),
             Ellipsoid.of(link.parameters, *frames[link.name]),
             link.from_data,
-            link.std_mass,
+            std_mass=link.std_mass,
         )
         for index, link in enumerate(estimate.links)
     ]

@@ -55,7 +55,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def as_estimated(model: Any, columns: Any, files: Any, _errors: Any, _among: Any, fitted: Any) -> dict[str, np.ndarray]:
     """In place of a fit for each file."""
     parameters = np.zeros(model.dimension)
-    parameters[columns] = fitted(columns)
+    parameters[columns] = fitted(columns, False)
     return dict.fromkeys(files, parameters)
 
 
