@@ -222,7 +222,8 @@ def effort_faults(
     moving = np.abs(np.diff(positions, axis=0)) > REST_SPEED * period
     renewed = np.sum(moving & (change > 0.0), axis=0)
     renewal_period = period * np.sum(moving, axis=0) / np.maximum(renewed, 1)
-    held = fine & (renewed >= _MANY) & (renewal_period > LONGEST_SAME) & (typical > CLEAR_RATIO * step)
+    repeats = 2 * renewed <= np.sum(moving, axis=0)  # at least once in between
+    held = fine & repeats & (renewed >= _MANY) & (renewal_period > LONGEST_SAME) & (typical > CLEAR_RATIO * step)
 
     least = np.min(size, axis=0, where=size > 0.0, initial=np.inf)
     dead = (np.mean(size == 0.0, axis=0) > _SMALL) & (CLEAR_RATIO * least > std)
