@@ -16,7 +16,12 @@ from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPrior, EffectTerm
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.records import Records, TotalModel
-from geomid_ros.gap.judgement.verdict import probability_by_size, widened_by_remainder, with_given_stds
+from geomid_ros.gap.judgement.verdict import (
+    moment_without_mass,
+    probability_by_size,
+    widened_by_remainder,
+    with_given_stds,
+)
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
@@ -232,8 +237,8 @@ def _findings_as_written(
                 parameters = {n: _including(q, beside[n].value) for n, q in parameters.items()}
             widened = widened_by_remainder(analysis, candidate, parameters, finding.was, finding.separability)
             sized = {**finding.parameters, **candidate.effect.sizes(widened)}
-            listed = analysis.search.prior.identified and finding.moment  # in a URDF the links' are as uncertain
-            moment = library.first_moment(joint_fit, candidate) if listed else {}
+            identified = analysis.search.prior.identified  # moments of a URDF's links are as uncertain
+            moment = moment_without_mass(joint_fit, candidate, sized) if identified else {}
             probability = min(finding.probability, probability_by_size(candidate, moment or parameters, finding.was))
             yield replace(finding, parameters=sized, moment=moment, probability=probability)
         else:

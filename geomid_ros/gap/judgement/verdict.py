@@ -41,9 +41,6 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     was = library.known_before(model, search.prior, candidate, load)
     separable = separability(search.design, names, candidate)
     parameters = widened_by_remainder(analysis, candidate, parameters, was, separable)
-    moment = library.first_moment(sized, candidate)
-    if not any(map(_is_significant, moment.values())) or _is_significant(parameters["mass"]):
-        moment = {}
     unsure = confidence_of(support.probability) != "confident"
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals]
     return Finding(
@@ -58,8 +55,17 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         share=_share(analysis, candidate),
         was=was,
         settled_by=library.settled_by(candidate.effect, joint, close) if unsure else "",
-        moment=moment,
+        moment=moment_without_mass(sized, candidate, parameters),
     )
+
+
+def moment_without_mass(
+    found: EffectsFit, candidate: Candidate, parameters: Mapping[str, Quantity]
+) -> dict[str, Quantity]:
+    """First moment of a payload whose mass may be nothing, by its ``parameters``, if the moment is not; else empty."""
+    moment = library.first_moment(found, candidate)
+    stands_in = any(map(_is_significant, moment.values())) and not _is_significant(parameters["mass"])
+    return moment if stands_in else {}
 
 
 def widened_by_remainder(
