@@ -73,11 +73,10 @@ class FaultCandidate:
 
 @dataclass(frozen=True, eq=False)
 class CandidateTest:
-    """A candidate, one of ``count``, that is evaluated on a subject."""
+    """A candidate that is evaluated on a subject."""
 
     candidate: FaultCandidate
     subject: EffortData
-    count: int
 
     @cached_property
     def fit(self) -> Evidence:
@@ -112,7 +111,7 @@ class CandidateTest:
             return True
         gains = self.channel_gains
         counted = (gains < 0.0) | self.subject.has_large_efforts
-        return not is_probable(-float(np.sum(gains[counted])), self.count) and self.repeats
+        return not is_probable(-float(np.sum(gains[counted])), 1) and self.repeats
 
     @property
     def has_plausible_links(self) -> bool:

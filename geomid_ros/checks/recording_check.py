@@ -209,8 +209,8 @@ def _decided(subject: EffortData, continuous: bool) -> FaultDecision:
     """Decide which cause explains the efforts better than a correct recording."""
     throughout, count = transforms(subject)
     timed = [*(changes(subject) if continuous else ()), *lags(subject)]
-    count += len(timed)
-    decision = decide([CandidateTest(one, subject, count) for one in (*throughout, *timed)], count, subject.nominal)
+    tried = [CandidateTest(candidate, subject) for candidate in (*throughout, *timed)]
+    decision = decide(tried, count + len(timed), subject.nominal)
     feels_none = decision.finding is None and subject.of_friction.log_evidence > subject.nominal.log_evidence
     if feels_none or np.all(decision.fit.sigmas > LARGEST_RESIDUAL):
         unrelated = RecordingFault(cause=Cause.of("unrelated", subject.names))
