@@ -21,6 +21,8 @@ from geomid_ros.inference.design import Design
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, Quantity
 from geomid_ros.model.effects.drive import Spring
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
+from geomid_ros.model.effects.mounting import CarriedBody
+from geomid_ros.model.effects.situation import OnLink
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -106,6 +108,32 @@ def test_what_is_large_only_with_unsure_effects_is_not_sure(
     (said,) = written_module._findings_as_written(BARE, analysis, fitted(3.9), fitted(beside), [(spring, finding)])
     assert said.parameters["stiffness"].value == 3.9
     assert (said.confidence == "confident") == is_sure
+
+
+@pytest.mark.parametrize(
+    ("identified", "off", "is_sure"), [(True, 0.03, True), (False, 0.03, False), (True, 0.005, False)]
+)
+def test_a_payload_whose_written_mass_may_be_nothing_is_judged_by_its_moment(
+    identified: bool, off: float, is_sure: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside an identified model; moments of a URDF's links are as uncertain. The search may have told a mass."""
+    payload = Candidate.of(CarriedBody(), OnLink(2, 2))
+    mass, moment = {"mass": Quantity(0.31, 0.18, "kg")}, {"m x": Quantity(off, 0.003, "kg m")}
+    finding = Finding(
+        "payload", JOINTS[2], "tool", {"mass": Quantity(0.7, 0.15, "kg")}, probability=1.0, rivals=(), separability=1.0,
+        loss=99.0, share=1.0, was={}, settled_by="",
+    )  # fmt: skip
+    analysis: Any = SimpleNamespace(
+        usual_load=lambda _: 0.0, search=SimpleNamespace(prior=SimpleNamespace(identified=identified))
+    )
+    monkeypatch.setattr(written_module.library, "parameters", lambda *_, **__: mass)
+    monkeypatch.setattr(written_module.library, "first_moment", lambda *_: moment)
+    monkeypatch.setattr(written_module, "widened_by_remainder", lambda _, __, sizes, *___: sizes)
+    fitted: Any = SimpleNamespace(chosen=[payload])
+    (said,) = written_module._findings_as_written(BARE, analysis, fitted, fitted, [(payload, finding)])
+    assert (said.confidence == "confident") == is_sure
+    assert said.moment == (moment if is_sure else {})
+    assert said.parameters["mass"].value == 0.31
 
 
 def test_a_changed_link_is_said_as_it_is_written() -> None:
