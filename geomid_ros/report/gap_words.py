@@ -135,7 +135,8 @@ def _verdict(result: GapResult) -> str:
     if result.verdict == "no gap":
         if worst(gap.before) <= GAP_ABOVE * worst(gap.after):
             return f"No gap found: {_left(result)}."
-        return f"No effect is missing. Corrected link inertias close the gap: {_fall(result)}."
+        joints = ", with friction, rotor inertias and offsets of joints," if result.ordinary else ""
+        return f"No effect is missing. Corrected link inertias{joints} close the gap: {_fall(result)}."
     if result.verdict == "named":
         parts: list[Finding | LinkChange] = [*result.findings, *result.links]
         if not any(part.confidence == "confident" for part in parts):

@@ -127,6 +127,10 @@ def test_the_verdict_says_what_it_was_judged_on() -> None:
     assert "With it" not in verdict_sentence(replace(result, findings=unsure))
     nothing = replace(gap_result("no gap", JOINTS), gap=replace(gap, before=gap.after))
     assert "within 1.02 times the noise floor while joints move (41.0 with rest" in verdict_sentence(nothing)
+    closed = replace(result, verdict="no gap")
+    assert "Corrected link inertias close the gap" in verdict_sentence(closed)
+    joints = "friction, rotor inertias and offsets of joints"
+    assert joints in verdict_sentence(replace(closed, ordinary=result.findings))
     known = replace(nothing, moving=np.array([6.0, 1.0, 1.0]))
     assert "up to 6.00 times the noise floor is left while joints move" in verdict_sentence(known)
 
