@@ -77,7 +77,7 @@ def _run_node(solving: SolvingProcess) -> None:
     from rclpy.utilities import ok  # noqa: PLC0415
 
     from geomid_ros.ros.node import GeomidNode  # noqa: PLC0415
-    from geomid_ros.ros.startup import PAUSE, destroy, running_ros  # noqa: PLC0415
+    from geomid_ros.ros.startup import PAUSE, running_ros  # noqa: PLC0415
 
     stopping = threading.Event()
     on_signal(stopping.set)
@@ -94,7 +94,7 @@ def _run_node(solving: SolvingProcess) -> None:
         finally:
             node.close()
             executor.remove_node(node)
-            destroy(node)
+            node.destroy_node()
 
 
 def _guarded(node: GeomidNode, run: Callable[[], object]) -> None:

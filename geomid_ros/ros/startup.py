@@ -69,22 +69,18 @@ def running_ros() -> Iterator[None]:
 
 @contextmanager
 def running_node(name: str, **options: Any) -> Iterator[Node]:
-    """Run ROS and a node with these ``options`` of rclpy."""
+    """Run ROS and a node with these ``options`` of rclpy. It ends as soon as its last messages have been received: with
+    its publishers they would be lost."""
     with running_ros():
         with starting_ros():
             node = rclpy.create_node(name, **options)
         try:
             yield node
         finally:
-            destroy(node)
-
-
-def destroy(node: Node) -> None:
-    """Destroy a node as soon as its last messages have been received: with its publishers they would be lost."""
-    end = time.monotonic() + PATIENCE
-    for publisher in node.publishers:
-        publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
-    node.destroy_node()
+            end = time.monotonic() + PATIENCE
+            for publisher in node.publishers:
+                publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
+            node.destroy_node()
 
 
 def _security() -> str:
