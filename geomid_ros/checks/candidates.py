@@ -15,7 +15,7 @@ import numpy as np
 
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.effort_data import EffortData
-from geomid_ros.checks.evidence import Evidence
+from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.inference.probability import posterior_probabilities
@@ -44,6 +44,7 @@ class FaultCandidate:
             the measured numbers, see :meth:`EffortData.in_units`.
         sizes: ``(C,)`` sizes of the factors on efforts that undo it, one by default.
         sources: ``(C,)`` the measured channel of each evaluated one.
+        changes_all: True if it changes all channels, not only those of its places.
         may_be_named: True if it may be named; otherwise it only explains what others would be named for.
         needs_no_evidence: True if other knowledge than the evidence settles it.
         begins_during_recording: True if it begins during the recording: then alternate stretches of time are its parts.
@@ -54,6 +55,7 @@ class FaultCandidate:
     fit_corrected: Callable[[EffortData], Evidence] | None = None
     sizes: FloatArray | None = None
     sources: IntArray | EllipsisType = ...
+    changes_all: bool = False
     may_be_named: bool = True
     needs_no_evidence: bool = False
     begins_during_recording: bool = False
@@ -105,13 +107,12 @@ class CandidateTest:
 
     @property
     def is_accepted(self) -> bool:
-        """True if it repeats, and the channels that it makes worse do not contradict it together with those whose
-        efforts count on this robot; or if it needs no evidence."""
+        """True if it repeats and makes no channel much worse, or needs no evidence."""
         if self.candidate.needs_no_evidence:
             return True
-        gains = self.channel_gains
-        counted = (gains < 0.0) | self.subject.has_large_efforts
-        return not is_probable(-float(np.sum(gains[counted])), 1) and self.repeats
+        better = self.channel_gains
+        worse = (better < 0.0) & (self.candidate.changes_all | np.isin(self.subject.names, self.cause.places))
+        return -float(np.sum(better, where=worse)) <= LEAST_SIGMA * self.gain and self.repeats
 
     @property
     def has_plausible_links(self) -> bool:

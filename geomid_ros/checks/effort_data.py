@@ -23,14 +23,13 @@ from geomid_ros.checks.evidence import (
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import spd
-from geomid_ros.model.robot import STANDARD_GRAVITY, Robot
+from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _SLOW = 0.05  # fraction of a joint's largest speed, below which stiction is arbitrary
 STRETCHES = 20
 """Number of stretches of a recording: a change may begin with each, and they alternate between two parts."""
-_OF_JOINTS = ("friction", "tolerated", "_bases", "_rows_by_gravity")
 _OF_MOTION = ("rows", "predicted", "friction", "unknowns", "tolerated", "_bases")
 
 
@@ -73,9 +72,7 @@ class EffortData:
         effort = kept.samples.effort
         changing = [_changes(values) for values in effort.T]
         joints = np.flatnonzero(is_measured(kept.samples) & changing)
-        # While all joints stand, efforts hold one pose, with a friction that is one number: that is one sample.
-        stands = ~np.any(np.abs(kept.samples.velocity) > REST_SPEED, axis=1)
-        usable = np.all(np.isfinite(effort[:, joints]), axis=1) & ~(stands & np.append(False, stands[:-1]))
+        usable = np.all(np.isfinite(effort[:, joints]), axis=1)
         samples = kept.samples.select(usable)
         return EffortData(
             robot=robot,
@@ -163,9 +160,7 @@ class EffortData:
 
     def under_gravity(self, gravity: FloatArray) -> EffortData:
         """Return the subject under another ``gravity (3,)`` in the base frame [m/s^2]."""
-        other = replace(self, robot=self.robot.with_gravity(gravity))
-        other.__dict__.update({name: self.__dict__[name] for name in _OF_JOINTS if name in self.__dict__})
-        return other
+        return replace(self, robot=self.robot.with_gravity(gravity))
 
     @property
     def names(self) -> list[str]:
@@ -231,13 +226,6 @@ class EffortData:
     def predicted(self) -> FloatArray:
         """Efforts predicted for the URDF's links ``(N, C)``."""
         return self.robot.joint_efforts(*self.robot.configuration(self.samples))[:, self.joints]
-
-    @property
-    def expected_std(self) -> FloatArray:
-        """Standard deviations of the efforts of links that are like the URDF's within their errors ``(C,)``."""
-        pairs = zip(self.unknowns.affected_by, self.unknowns.columns, strict=True)
-        by_errors = [float(np.sum(np.var(columns[:, : len(felt)], axis=0))) for felt, columns in pairs]
-        return np.asarray(np.sqrt(np.var(self.predicted, axis=0) + by_errors))
 
     @property
     def weight(self) -> FloatArray:
@@ -339,15 +327,13 @@ class EffortData:
         friction = np.einsum("nck,ck->nc", self.friction, found.friction)
         return np.asarray(self.link_efforts(self.links(found)) + self.measured_std * friction)
 
-    def fitted_gravity(self, found: Evidence | None = None) -> FloatArray:
-        """Gravity ``(3,)`` [m/s^2] under which efforts are explained best: with the URDF's links, or together with
-        links, linearised at those of an evidence."""
-        parameters = self.urdf_parameters if found is None else self.links(found)
-        by_gravity = np.stack([self.link_efforts(parameters, rows) for rows in self._rows_by_gravity], axis=2)
-        columns = STANDARD_GRAVITY * by_gravity
-        unknowns = Unknowns.of(columns, self.friction) if found is None else self.unknowns.with_errors(columns)
-        errors = evidence(self.target, unknowns, self.tolerated, units=self.measured_std).link_errors
-        return np.asarray(self.robot.gravity + STANDARD_GRAVITY * errors[-3:])
+    def fitted_gravity(self, parameters: FloatArray) -> FloatArray:
+        """Gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain the efforts best."""
+        by_gravity = [self.link_efforts(parameters, rows) for rows in self._rows_by_gravity]
+        residual = self.measured - self.link_efforts(parameters) + np.tensordot(self.robot.gravity, by_gravity, 1)
+        columns = (np.array([*by_gravity, residual]) / self.measured_std).transpose(2, 1, 0)
+        columns = self.without_friction(columns)
+        return np.asarray(np.linalg.lstsq(columns[:, :, :3].reshape(-1, 3), columns[:, :, 3].ravel(), rcond=1e-6)[0])
 
     def without_friction(self, columns: FloatArray) -> FloatArray:
         """Remove from columns of each channel ``(C, N, k)`` what its friction can explain, of either sign."""

@@ -171,12 +171,12 @@ def _gains(subject: EffortData) -> Iterator[FaultCandidate]:
     common, settled = _common_factor(subject)
     if not 1.0 / MASS_FACTOR <= common <= MASS_FACTOR:
         yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), settled)
-    by_size = subject.expected_std / subject.measured_std
+    by_size = np.std(subject.predicted, axis=0) / subject.measured_std
     factors = np.where(follows(correlations), 1.0 / np.maximum(slopes, 1e-30), by_size)
     unlike_common = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(MASS_FACTOR)
     unlike_nominal = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(MASS_FACTOR)
     loads = np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints]
-    for joint in np.flatnonzero(unlike_common & unlike_nominal).tolist() if len(every) > 1 else ():
+    for joint in np.flatnonzero(unlike_common & unlike_nominal & (factors > 0.0)).tolist() if len(every) > 1 else ():
         factor, beyond_rating = float(factors[joint]), bool(loads[joint] > MASS_FACTOR**2)
         matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
         yield _gain(matrix, _other_unit(subject, [joint], factor), beyond_rating)
@@ -199,7 +199,8 @@ def _common_factor(subject: EffortData) -> tuple[float, bool]:
     felt = subject.sizes_of_links(subject.nominal)
     if len(felt) > 1 and np.all((felt > 0.0) & (felt < 1.0 / MASS_FACTOR)):
         return 1.0 / float(np.median(felt)), True
-    return float(np.median(subject.expected_std / subject.measured_std)), False
+    predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
+    return float(np.median(predicted / subject.measured_std)), False
 
 
 def _other_unit(subject: EffortData, joints: Sequence[int], factor: float) -> Cause:
@@ -220,15 +221,16 @@ def _other_unit(subject: EffortData, joints: Sequence[int], factor: float) -> Ca
 
 
 def _gravities(subject: EffortData) -> Iterator[FaultCandidate]:
-    """Yield candidates for the best-fitting direction of gravity, and for efforts without gravity."""
+    """Yield candidates for the best-fitting directions of gravity, and for efforts without gravity."""
     nominal = subject.robot.gravity
     size = float(np.linalg.norm(nominal))
     right = abs(size - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY
-    strength, fitted, under = size if right else STANDARD_GRAVITY, subject.fitted_gravity(), subject
-    for _ in range(ROUNDS):
-        under = under.under_gravity(strength * _unit(fitted))
-        fitted = under.fitted_gravity(under.nominal)
-    yield _turned(subject, under.robot.gravity)
+    strength, fitted = size if right else STANDARD_GRAVITY, subject.fitted_gravity(subject.urdf_parameters)
+    for start in (1.0, -1.0):
+        gravity = start * strength * _unit(fitted)
+        under = subject.under_gravity(gravity)
+        yield _turned(subject, gravity)
+        yield _turned(subject, strength * _unit(subject.fitted_gravity(under.links(under.nominal))))
     if not right:
         yield _turned(subject, STANDARD_GRAVITY * (nominal / size if size > 0.0 else np.array([0.0, 0.0, -1.0])))
     if size > 0.0:
@@ -303,7 +305,7 @@ def _names(subject: EffortData) -> Iterator[FaultCandidate]:
         cause = Cause.of("names", [name for end in zip(*both, strict=True) for name in end], pairs=described)
 
         reordered = partial(Samples.with_joints, order=order)
-        yield replace(_of_motion(reordered, cause), sources=sources)
+        yield replace(_of_motion(reordered, cause), sources=sources, changes_all=False)
 
 
 def _positions(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -337,7 +339,9 @@ def _in_unit(
 
 def _of_motion(change: Callable[[Samples], Samples], cause: Cause) -> FaultCandidate:
     """Candidate whose changed samples are those of this robot."""
-    return FaultCandidate(corrected=lambda subject: subject.with_samples(change(subject.samples)), cause=cause)
+    return FaultCandidate(
+        corrected=lambda subject: subject.with_samples(change(subject.samples)), cause=cause, changes_all=True
+    )
 
 
 def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0, rate: float = 1.0) -> Samples:
@@ -384,7 +388,7 @@ def _at_rate(
         judged = timed.in_units(subject.measured_std).nominal
         return replace(judged, log_evidence=judged.log_evidence - least_gain(subject))
 
-    return FaultCandidate(fit_corrected=undo, cause=cause)
+    return FaultCandidate(fit_corrected=undo, cause=cause, changes_all=True)
 
 
 def _zeros(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -466,7 +470,7 @@ def _zero(subject: EffortData, joint: int, sign: float, start: float) -> FaultCa
         addition = "" if abs(turn) < 5.0 else f", and {text} to be added to its positions then"
         return Cause.of("axis", [name], reversed="position, velocity and effort", zero=addition)
 
-    return FaultCandidate(fit_corrected=undo, corrected=read, cause=cause)
+    return FaultCandidate(fit_corrected=undo, corrected=read, cause=cause, changes_all=True)
 
 
 def _with_zero(samples: Samples, joint: int, sign: float, zero: float) -> Samples:

@@ -13,7 +13,6 @@ import pytest
 from estimation.arms import Case, Motion, arm, efforts, motion, samples, shipped, truth
 
 from geomid_ros.checks.causes import NOT_CHECKED, Cause, RecordingFault
-from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
 from geomid_ros.checks.transforms import _without_sign
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -212,13 +211,6 @@ def one_after_the_other(rng: np.random.Generator, joints: int, rest: int) -> Mot
         here = here + step
         parts.append(np.broadcast_to(np.array([here, np.zeros(joints), np.zeros(joints)])[:, None], (3, rest, joints)))
     return Motion(*np.concatenate(parts, axis=1))
-
-
-def test_a_robot_that_stands_shows_one_pose_however_long() -> None:
-    of = case(*ROBOTS[0])
-    moving = of.samples.select(slice(100, 200))
-    whole = Samples.concatenate([at_rest(of).select(slice(50)), moving, at_rest(of).select(slice(20))])
-    assert len(EffortData.of_all(of.model.robot, whole).samples) == len(moving) + 2
 
 
 @pytest.mark.parametrize("rest", [0, 50])
