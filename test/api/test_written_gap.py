@@ -92,7 +92,8 @@ def test_the_written_model_leaves_what_the_table_says(
     urdf = BAGS / "arm3.urdf"
     found = geomid_ros.find_gap(bag, urdf, validate=unseen)
     assert found.verdict == case.verdict
-    assert {finding.effect for finding in found.findings} >= set(case.names)
+    told = (*found.findings, *(effect for effect in found.result.ordinary if effect.joint == JOINT))
+    assert {effect.effect for effect in told} >= set(case.names)
     assert tuple(entry.depends_on for entry in found.result.unexplained) == case.depends_on
     found.save(tmp_path / "found")
     checked = geomid_ros.verify(tmp_path / "found/estimate.json", unseen, urdf, require="rms<100*floor")
