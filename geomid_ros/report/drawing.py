@@ -396,7 +396,7 @@ def _draw_table(area: Axes, bodies: Sequence[BodyDrawing]) -> None:
     most = sorted(enumerate(bodies, 1), key=lambda numbered: -_share(numbered[1].from_data))[:MOST_ROWS]
     shown = sorted(most, key=lambda numbered: numbered[0])
     hidden = len(bodies) - len(shown)
-    for x, text, ha in ((0.0, "link", "left"), (2.28, "mass [kg]", "right"), (_TABLE_WIDTH, "from data", "right")):
+    for x, text, ha in ((0.0, "link", "left"), (2.24, "mass [kg]", "right"), (_TABLE_WIDTH, "from data", "right")):
         add_text(area, x, 0.06, text, 9.5, FAINT, ha=ha)
     area.plot([0.0, _TABLE_WIDTH], [0.22, 0.22], color=FRAME, lw=0.8)
     row = (area.get_ylim()[0] - 0.32) / (len(shown) + (hidden > 0))
@@ -410,14 +410,14 @@ def _draw_row(area: Axes, y: float, number: int, body: BodyDrawing) -> None:
     share = _share(body.from_data)
     color = _SHARES(share)[:3]
     _draw_badge(area, _BADGE, y, number, body, 1.0)
-    add_text(area, 0.28, y, shortened(body.name, 0.95, 9.0), 9.0)
-    add_text(area, 1.64, y, written(body.prior.mass), 9.5, FAINT, ha="right")
-    add_text(area, 1.74, y, "→", 9.5, FAINT, ha="center")
-    add_text(area, 2.28, y, written(body.identified.mass), 9.5, weight="bold", ha="right")
+    add_text(area, 0.28, y, shortened(body.name, 0.88, 9.0), 9.0)
+    add_text(area, 1.54, y, written(body.prior.mass), 9.5, FAINT, ha="right")
+    add_text(area, 1.62, y, "→", 9.5, FAINT, ha="center")
+    add_text(area, 2.24, y, written(body.identified.mass), 9.5, weight="bold", ha="right")
     if np.isfinite(body.std_mass):
-        add_text(area, 2.32, y, f"± {written(body.std_mass)}", 8.5, FAINT)
-    area.add_artist(Rectangle((2.92, y - 0.055), 0.5, 0.11, fc=GRID, lw=0.0))
-    area.add_artist(Rectangle((2.92, y - 0.055), 0.5 * share, 0.11, fc=color, lw=0.0))
+        add_text(area, 2.28, y, f"± {written(body.std_mass)}", 8.5, FAINT)
+    area.add_artist(Rectangle((3.0, y - 0.055), 0.42, 0.11, fc=GRID, lw=0.0))
+    area.add_artist(Rectangle((3.0, y - 0.055), 0.42 * share, 0.11, fc=color, lw=0.0))
     percent = f"{100.0 * body.from_data:.0f} %" if np.isfinite(body.from_data) else NONE
     add_text(area, _TABLE_WIDTH, y, percent, 9.5, ha="right")
 
