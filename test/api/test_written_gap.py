@@ -93,7 +93,11 @@ def test_the_written_model_leaves_what_the_table_says(
     found = geomid_ros.find_gap(bag, urdf, validate=unseen)
     assert found.verdict == case.verdict
     told = (*found.findings, *(effect for effect in found.result.ordinary if effect.joint == JOINT))
-    assert {effect.effect for effect in told} >= set(case.names)
+    sizes = {effect.effect: effect.parameters for effect in told}
+    assert sizes.keys() >= set(case.names)
+    if case.change is scaled:
+        offset = sizes["effort_offset"]["offset"]
+        assert offset.value == pytest.approx(3.0, abs=0.2), "of the joint, if not of the gap"
     assert tuple(entry.depends_on for entry in found.result.unexplained) == case.depends_on
     found.save(tmp_path / "found")
     checked = geomid_ros.verify(tmp_path / "found/estimate.json", unseen, urdf, require="rms<100*floor")
