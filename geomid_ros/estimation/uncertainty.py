@@ -370,9 +370,8 @@ def stds_along_geodesics(
     for of_prior, of_rows in np.concatenate([errors, -errors]):
         augmented = np.column_stack([rows, targets + of_rows])
         drawn = (prior_stds * of_prior).reshape(-1, spd.SIZE)
-        drawn /= np.maximum(
-            np.linalg.norm(drawn, axis=1, keepdims=True) / np.log(FINEST), 1.0
-        )  # rounding allows no more
+        farthest = np.log(FINEST)  # rounding allows no more
+        drawn /= np.maximum(np.linalg.norm(drawn, axis=1, keepdims=True) / farthest, 1.0)
         moved = manifold.exp(prior, drawn.ravel())
         objective = ResidualObjective(manifold, augmented.T @ augmented, moved, prior_stds**-2.0, float(size))
         minimum = trust_region(objective, point, least_decrease=LEAST_DECREASE).point

@@ -298,18 +298,21 @@ def _exchanged(search: EffectsSearch, names: EffectsFit) -> tuple[EffectsSearch,
         for rival in (r for r in search.rivals(names, candidate) if candidate not in r.chosen):
             differing = {*names.chosen} ^ {*rival.chosen}
             reached = {channel for c in differing for channel in search.design.affected_channels(c)}
-
-            def with_own(found: EffectsFit, reached: Collection[int] = reached) -> tuple[Design, EffectsFit]:
-                own = found.with_fitted_remainder(search.design, reached)
-                return own, fit(own, search.prior, found.chosen, found)
-
-            own, other = with_own(rival)
-            if other.score < best.score and other.score < with_own(names)[1].score:
+            own, other = _with_own_remainder(search, rival, reached)
+            if other.score < best.score and other.score < _with_own_remainder(search, names, reached)[1].score:
                 best, design = other, own
     if best is names:
         return search, names
     search = Selection(design, search.prior, search.hypotheses)
     return search, search.optimise(search.fit(best.chosen, best))
+
+
+def _with_own_remainder(
+    search: EffectsSearch, found: EffectsFit, channels: Collection[int]
+) -> tuple[Design, EffectsFit]:
+    """Estimate the remainder of some ``channels`` at a fit, and fit again."""
+    design = found.with_fitted_remainder(search.design, channels)
+    return design, fit(design, search.prior, found.chosen, found)
 
 
 def _same(previous: EffectsFit | None, current: EffectsFit) -> bool:
