@@ -201,7 +201,12 @@ def test_of_all_that_a_file_holds_the_rows_choose_anew() -> None:
         return held
 
     files = {"mujoco": ELEMENTS["mujoco"]}
-    within = fit_files(model, chosen, files, none, choose, lambda columns, _: np.ones(len(columns)))["mujoco"]
+
+    def fitted(columns: FloatArray, lacks_like_mass: bool) -> FloatArray:
+        assert not lacks_like_mass, "no mass stands in for friction"
+        return np.ones(len(columns))
+
+    within = fit_files(model, chosen, files, none, choose, fitted)["mujoco"]
     held, begun = asked
     assert (held - begun, "stribeck_friction" in held) == ({"spring"}, False)
     springs = [k for k in range(first, model.dimension) if names[k - first + 1] == "spring"]

@@ -151,6 +151,15 @@ def test_velocities_in_another_unit_of_time_are_told(factor: float, seconds: flo
     assert (SCALED in target.ledger.topics[JOINT_STATES].noted) == noted
 
 
+def test_velocities_that_are_late_are_in_no_other_unit() -> None:
+    """They are less than the derivatives at the same time, but not in proportion."""
+    late = np.roll(true_velocity(), 20, axis=0)
+    messages = [replace(m, velocity=row) for m, row in zip(joint_messages(STAMPS), late, strict=True)]
+    target = SignalPipeline(JOINTS, settings=SETTINGS)
+    feed(target, messages)
+    assert SCALED not in target.ledger.topics[JOINT_STATES].noted
+
+
 @pytest.mark.parametrize("rate", [1.0, 2.0])
 def test_a_joint_that_stands_still_tells_nothing(rate: float) -> None:
     """What moves there is in the last digits; a clock is judged by the others."""
