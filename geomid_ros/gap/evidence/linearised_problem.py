@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from functools import cached_property
+from itertools import groupby
+from operator import attrgetter
 
 import numpy as np
 
@@ -129,12 +131,14 @@ class LinearisedProblem:
     def columns(self, terms: Iterable[EffectTerm]) -> dict[EffectTerm, dict[int, FloatArray]]:
         """Columns ``(N,)`` of terms by the channels that they affect."""
         columns: dict[EffectTerm, dict[int, FloatArray]] = {}
-        for term in dict.fromkeys(terms):
-            if isinstance(term.effect, SituationEffect):
-                by_state = term.effect.columns(self.situation, term.place)[:, :, term.index]
-                columns[term] = {channel: column for channel, column in enumerate(by_state.T) if np.any(column)}
-            elif isinstance(term.effect, MotionEffect | SensorEffect):
-                columns[term] = self.model.columns_of(self.records.samples, term.effect, term.place, term.index)
+        for (effect, place), group in groupby(dict.fromkeys(terms), key=attrgetter("effect", "place")):
+            if isinstance(effect, SituationEffect):
+                by_state = effect.columns(self.situation, place)
+                for term in group:
+                    by_channel = enumerate(by_state[:, :, term.index].T)
+                    columns[term] = {channel: column for channel, column in by_channel if np.any(column)}
+            elif isinstance(effect, MotionEffect | SensorEffect):
+                columns |= {t: self.model.columns_of(self.records.samples, effect, place, t.index) for t in group}
         self.model.eliminate_ground(self.records.samples, columns.values())
         for channel in np.flatnonzero(self._scales != 1.0).tolist():
             for term, by_channel in columns.items():
