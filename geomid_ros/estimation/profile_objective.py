@@ -125,7 +125,7 @@ def fit_scales(
         if likely is None:
             return ProfileFit(trial, point, scales, solution.evaluation)
         scales = likely(point, solution.evaluation.information + np.diag(trial.weights), scales)
-        if np.all(np.abs(np.log(scales / before)) < _SETTLED):
+        if np.all(np.abs(np.log(scales) - np.log(before)) < _SETTLED):  # an inflation may begin at infinity
             break
     trial = objective(scales)
     return ProfileFit(trial, point, scales, trial.evaluate(point))

@@ -147,15 +147,15 @@ def fit(
 
     The links' prior stds and the trust in other recordings are estimated, unless a ``prior_std`` fixes the prior std of
     all links, or of each. Recordings that contradict each other give two minima: either the others are right and the
-    present measurement is mostly error, or the reverse. Both are searched; the more likely one is returned.
+    present measurement is mostly error, or the reverse. At first the others count nothing. Unless they are trusted in
+    the end, both are searched; the more likely one is returned.
     """
     if prior.other_recordings is None or prior_std is not None:
         return _fit(design, prior, chosen, start, prior_std)
-    alone = _fit(design, replace(prior, other_recordings=None), chosen, start)
-    rows, _ = _known_rows(prior, chosen, alone.manifold)
-    off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
-    loose = replace(alone, inflation=priors.contradiction(rows, off))
-    return min((_fit(design, prior, chosen, first) for first in (start, loose)), key=lambda fitted: fitted.score)
+    loose = _fit(design, prior, chosen, start, inflation=np.inf)
+    if loose.inflation == 1.0:
+        return loose
+    return min(loose, _fit(design, prior, chosen, start), key=lambda fitted: fitted.score)
 
 
 def _fit(
@@ -164,11 +164,15 @@ def _fit(
     chosen: Sequence[Chosen],
     start: JointFit[Chosen, Term] | None,
     prior_std: float | FloatArray | None = None,
+    inflation: float = 1.0,
 ) -> JointFit[Chosen, Term]:
-    """Return the minimum reached from the start, with the prior's constraints at zero."""
-    free = _free_fit(design, prior, chosen, start, prior_std)
+    """Return the minimum reached from the start, with the prior's constraints at zero. The search begins with this
+    ``inflation`` of the other recordings."""
+    free = _free_fit(design, prior, chosen, start, prior_std, inflation)
     rows = None if prior.constraints is None else prior.constraints(free.terms, free.point.reals)
-    return free if rows is None or not len(rows) else _free_fit(design, prior, chosen, free, prior_std, rows)
+    if rows is None or not len(rows):
+        return free
+    return _free_fit(design, prior, chosen, free, prior_std, free.inflation, rows)
 
 
 def _free_fit(
@@ -177,6 +181,7 @@ def _free_fit(
     chosen: Sequence[Chosen],
     start: JointFit[Chosen, Term] | None,
     prior_std: float | FloatArray | None,
+    inflation: float,
     constraints: FloatArray | None = None,
 ) -> JointFit[Chosen, Term]:
     """Return the minimum reached from the start; ``constraints``: rows ``(r, terms)`` of coefficients fixed at zero."""
@@ -200,7 +205,6 @@ def _free_fit(
         zeros = _products(manifold.offset_rows(prior_point, zero_rows), constraints @ prior_point.reals)
     from_scratch = start is None or set(bodies) != set(start.bodies)
     fixed = prior_std is not None
-    inflation = 1.0 if fixed or start is None else start.inflation
     link_stds = np.full(payloads_at // 10, prior.link_prior_stds if prior_std is None else prior_std)
     if start is not None and not (fixed or from_scratch):
         link_stds = start.prior_stds

@@ -293,11 +293,6 @@ def inflation_of(rows: FloatArray, manifold: ParameterManifold, point: Point, pr
     return max(1.0, (float(off @ off) + uncertainty + _CERTAINTY) / (_count_informative(rows) + _CERTAINTY))
 
 
-def contradiction(rows: FloatArray, off: FloatArray) -> float:
-    """Inflation, at least 1, at which the rows agree with parameters that are ``off (D,)`` from the prior."""
-    return max(1.0, float(np.sum((rows @ np.append(off, 1.0)) ** 2)) / max(1, _count_informative(rows)))
-
-
 def cost_of_inflation(rows: FloatArray, inflation: float) -> float:
     """Minus twice the log prior of the inflation, plus the normalisation of residuals in enlarged stds."""
     return (_count_informative(rows) + _CERTAINTY) * float(np.log(inflation)) + _CERTAINTY * (1.0 / inflation - 1.0)

@@ -135,8 +135,8 @@ class LinearisedProblem:
             if isinstance(effect, SituationEffect):
                 by_state = effect.columns(self.situation, place)
                 for term in group:
-                    by_channel = enumerate(by_state[:, :, term.index].T)
-                    columns[term] = {channel: column for channel, column in by_channel if np.any(column)}
+                    numbered = enumerate(by_state[:, :, term.index].T)
+                    columns[term] = {channel: column for channel, column in numbered if np.any(column)}
             elif isinstance(effect, MotionEffect | SensorEffect):
                 columns |= {t: self.model.columns_of(self.records.samples, effect, place, t.index) for t in group}
         self.model.eliminate_ground(self.records.samples, columns.values())
