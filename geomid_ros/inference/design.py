@@ -127,9 +127,10 @@ def remembered(method: Callable[[_Owner, _Key], _Value]) -> Callable[[_Owner, _K
     @wraps(method)
     def looked_up(owner: _Owner, key: _Key) -> _Value:
         results: dict[_Key, _Value] = owner.known.setdefault(method.__name__, {})
-        if key not in results:
-            results[key] = method(owner, key)
-        return results[key]
+        try:
+            return results[key]
+        except KeyError:
+            return results.setdefault(key, method(owner, key))
 
     return looked_up
 
