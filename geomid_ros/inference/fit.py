@@ -148,9 +148,11 @@ def fit(
     The links' prior stds and the trust in other recordings are estimated, unless a ``prior_std`` fixes the prior std of
     all links, or of each. Recordings that contradict each other give two minima: either the others are right and the
     present measurement is mostly error, or the reverse. At first the others count nothing. Unless they are trusted in
-    the end, both are searched; the more likely one is returned.
+    the end, both are searched; the more likely one is returned. A start that trusts the others does so when more
+    candidates explain the present measurement, too.
     """
-    if prior.other_recordings is None or prior_std is not None:
+    trusted = start is not None and start.inflation == 1.0 and set(start.chosen) < set(chosen)
+    if prior.other_recordings is None or prior_std is not None or trusted:
         return _fit(design, prior, chosen, start, prior_std)
     loose = _fit(design, prior, chosen, start, inflation=np.inf)
     if loose.inflation == 1.0:
