@@ -217,8 +217,7 @@ def file_fit(own: Fit, estimate: Fit) -> FloatArray:
     held = replace(own, search_point=_with_links_of(estimate, own))
     moves = _steps(estimate, estimate.fold_products)[:, links]
     ends = _without_folds(held, own.fold_products, moves), _without_folds(own, own.fold_products)
-    products = own.problem.summary.products(estimate.sigmas, own.problem.manifold.dimension)
-    as_held, changed = (np.einsum("fi,fij,fj->f", vectors, products, vectors) for vectors in ends)
+    as_held, changed = (own.problem.summary.fold_squares(estimate.sigmas, vectors) for vectors in ends)
     gains = as_held - changed  # their mean exceeds its standard error if their sum exceeds their norm
     return (own.point if np.sum(gains) > np.linalg.norm(gains) else held.search_point).parameters
 
@@ -249,12 +248,14 @@ def _without_folds(fit: Fit, products: FloatArray, first: FloatArray | None = No
 def _steps(fit: Fit, products: FloatArray, first: FloatArray | None = None) -> FloatArray:
     """Newton steps ``(folds, D)``, tangent coordinates, from a minimum to that without each fold, for the folds'
     ``products (folds, D + 1, D + 1)``; the ``first (folds, n)`` coordinates of the steps may be given."""
-    first = np.zeros((len(products), 0)) if first is None else first
-    folds = [fold_at(fit.problem.manifold, fit.search_point, fold) for fold in products]
-    others = fit.information / fit.problem.independent_fraction - np.array([fold.information for fold in folds])
+    first, steps = np.zeros((len(products), 0)) if first is None else first, []
     given, rest = slice(first.shape[1]), slice(first.shape[1], None)
-    slopes = np.array([fold.gradient for fold in folds])[:, rest, None] - others[:, rest, given] @ first[:, :, None]
-    return np.column_stack([first, np.linalg.solve(others[:, rest, rest], slopes)[:, :, 0]])
+    for fold_products, known in zip(products, first, strict=True):  # one by one, to save memory
+        fold = fold_at(fit.problem.manifold, fit.search_point, fold_products)
+        others = fit.information / fit.problem.independent_fraction - fold.information
+        slopes = fold.gradient[rest] - others[rest, given] @ known
+        steps.append(np.append(known, np.linalg.solve(others[rest, rest], slopes)))
+    return np.array(steps)
 
 
 def held_columns(model: MeasurementModel, columns: IntArray, elements: Collection[str]) -> IntArray:

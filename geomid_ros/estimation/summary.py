@@ -322,6 +322,21 @@ class RowSummary:
                 block[places[:, None], places] += rows.T @ rows
         return products[np.any(products, axis=(1, 2))]
 
+    def fold_squares(self, sigmas: FloatArray, vectors: FloatArray) -> FloatArray:
+        """Sums of squares ``(folds,)`` of the rows ``[A b]`` of each fold that has rows, in units of the standard
+        deviations ``(groups,)``, each times its own one of the ``vectors (folds, D + 1)``."""
+        places = [np.append(group.columns, vectors.shape[1] - 1) for group in self.groups]
+        with_rows = [fold for fold in self._complete_summaries() if any(np.any(part.factor) for part in fold)]
+        return np.array(
+            [
+                sum(
+                    float(np.sum((part.factor @ vector[columns] / sigma) ** 2))
+                    for part, sigma, columns in zip(fold, sigmas.tolist(), places, strict=True)
+                )
+                for fold, vector in zip(with_rows, vectors, strict=True)
+            ]
+        )
+
     def compressed(self, sigmas: FloatArray, dimension: int) -> tuple[FloatArray, FloatArray]:
         """Rows ``(<= D, D)`` and targets of standard deviation 1 with the least-squares content of all rows.
 

@@ -118,6 +118,8 @@ def test_a_fold_is_left_out_in_one_step() -> None:
     steps = effect_selection._steps(found, products)
     np.testing.assert_allclose(effect_selection._steps(found, products, steps[:, links]), steps, rtol=1e-6, atol=1e-9)
     ends = effect_selection._without_folds(found, products)
+    squares = np.einsum("fi,fij,fj->f", ends, products, ends)
+    np.testing.assert_allclose(found.problem.summary.fold_squares(found.sigmas, ends), squares, rtol=1e-6)
     for fold, end in zip(products, ends, strict=True):
         others = np.sum(products, axis=0) - fold
         prior, weights = found.problem.prior_point, found.objective.prior_weights
