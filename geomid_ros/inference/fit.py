@@ -91,7 +91,7 @@ class JointFit(Generic[Chosen, Term]):
         """Covariance of the parameters ``(D, D)``."""
         blocks, diagonal = self.manifold.jacobian(self.point)
         transposed = blocks.swapaxes(1, 2)
-        half = self.manifold.by_blocks(spd.inverse(self.information), transposed, diagonal)
+        half = self.manifold.by_blocks(self.inverse, transposed, diagonal)
         return self.manifold.by_blocks(half.T, transposed, diagonal)
 
     def covariance_of(self, terms: Sequence[Term]) -> FloatArray:
