@@ -88,7 +88,8 @@ class Dynamics:
         ).T / (2.0 * STEP)
         yield np.array([wrench(q, v + s, a) - wrench(q, v - s, a) for s in steps]).T / (2.0 * STEP)
         # Acceleration and gravity enter linearly.
-        yield np.array([wrench(q, v, a + s) - wrench(q, v, a) for s in steps]).T / STEP
+        present = wrench(q, v, a)
+        yield np.array([wrench(q, v, a + s) - present for s in steps]).T / STEP
         yield np.array([wrench(q, zeros, zeros) for _ in _unit_gravities(model)]).T
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 
 from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
 from geomid_ros.model.effects.effect import Effect, SituationEffect
@@ -49,9 +50,7 @@ class GravityTilt(SituationEffect):
 
 def _turned(gravity: FloatArray, tilt: FloatArray) -> FloatArray:
     """Return gravity rotated by the opposite rotation."""
-    from scipy.linalg import expm  # noqa: PLC0415 of tilted bases alone
-
-    return np.asarray(expm(np.cross(np.append(tilt, 0.0), np.eye(3))) @ gravity)
+    return np.asarray(pin.exp3(-np.append(tilt, 0.0)) @ gravity)
 
 
 _URDF, _MJCF = "link/inertial", "body/inertial"
