@@ -33,9 +33,8 @@ from benchmarks.blind.realistic.judging import Size, _sizes
 from benchmarks.blind.realistic.running import _recorded
 from benchmarks.measured_data import DATA
 from geomid_ros.errors import GeomidError
-from geomid_ros.files.models.effects_file import is_payload
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.model.effects import Effect, effect_class, values_of
+from geomid_ros.model.effects import Effect, effect_class
 from geomid_ros.session.session import save
 from geomid_ros.session.written_simulation import write_found
 from geomid_ros.simulation import simulate
@@ -160,7 +159,7 @@ def _values(path: Path) -> dict[tuple[str, str, str], tuple[float, float]]:
     place and parameter: one value may be said by several effects together."""
     found: dict[tuple[str, str, str], tuple[float, float]] = {}
     for known in LoadedModel.read(str(path)).effects:
-        for part, own in () if is_payload(known) else effect_class(known.effect).coefficients(values_of(known)).items():
+        for part, own in () if known.is_payload else known.cls.coefficients(known.values).items():
             for form, value in zip(part.column_parameters, own, strict=True):
                 key = part.name, known.joint, form.name
                 quantity, before = known.parameters.get(form.name), found.get(key, (0.0, 0.0))
@@ -206,7 +205,7 @@ def _told(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def _unsure(model: Path | None, written: Path, document: Mapping[str, Any]) -> Iterator[str]:
     """Findings that are not sure and in the files nevertheless."""
     before, after = _values(model) if model else {}, _values(written)
-    bodies = {known.link for known in LoadedModel.read(str(written)).effects if is_payload(known)}
+    bodies = {known.link for known in LoadedModel.read(str(written)).effects if known.is_payload}
     ordinary = {(entry["effect"], entry["joint"]) for entry in document.get("ordinary", ())}
     for finding in document["findings"]:
         if finding["confidence"] == "confident":

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import difflib
 import resource
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 
 _LONGEST = 4000  # characters in a message
 _NO_MEMORY = ("failed to map segment", "annot allocate memory", "ould not allocate memory", "Unable to allocate")
@@ -96,10 +96,25 @@ def unknown_name(kind: str, name: str, valid: Iterable[str]) -> InputError:
     return InputError(f"unknown {kind} '{name}'.{guess} Valid: {', '.join(names) or '(none)'}")
 
 
+def check_name(kind: str, name: str, valid: Collection[str], where: str = "") -> None:
+    """Raise the error of :func:`unknown_name`, beginning with ``where``, for a name that is not ``valid``."""
+    if name not in valid:
+        error = unknown_name(kind, name, valid)
+        raise InputError(f"{where}: {error}") if where else error
+
+
 @contextmanager
-def needing_ros(what: str) -> Iterator[None]:
-    """Turn an ImportError in the block into an InputError: ``what``, in words, needs ROS."""
+def refusing(
+    sentence: str, *errors: type[Exception], advice: str = "", kind: type[GeomidError] = InputError
+) -> Iterator[None]:
+    """Turn these errors in the block into one with the ``sentence``, the reason in parentheses, and the ``advice``."""
     try:
         yield
-    except ImportError as error:
-        raise InputError(f"{what} needs ROS 2, which cannot be imported ({error})") from error
+    except errors as error:
+        reason = " ".join(str(getattr(error, "strerror", None) or error).split())
+        raise kind(f"{sentence} ({reason}){f'; {advice}' if advice else ''}") from error
+
+
+def needing_ros(what: str) -> AbstractContextManager[None]:
+    """Turn an ImportError in the block into an InputError: ``what``, in words, needs ROS."""
+    return refusing(f"{what} needs ROS 2, which cannot be imported", ImportError)

@@ -75,6 +75,15 @@ def names_in(text: str, *, or_none: bool = False) -> list[str]:
     return [] if or_none and names == ["none"] else names
 
 
+def numbers_in(text: str, separator: str = ",") -> list[float]:
+    """Return the finite numbers in a text, between which this ``separator`` stands; none for any other text."""
+    try:
+        numbers = [float(part) for part in text.split(separator)]
+    except ValueError:
+        return []
+    return numbers if all(map(math.isfinite, numbers)) else []
+
+
 def _check_range(name: str, value: Any, declared: Mapping[str, Any]) -> None:
     """Refuse what is no number, or out of its range (InputError)."""
     low, high = declared["min"], declared.get("max", math.inf)

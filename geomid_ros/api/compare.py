@@ -24,7 +24,6 @@ from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import attributes_entry, to_document
 from geomid_ros.geometry.pseudo_inertia import nearest_body
-from geomid_ros.model.effects import effect_class
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
 from geomid_ros.report.result_pages import ChannelErrors, ComparisonPage, write_comparison_page
@@ -218,9 +217,9 @@ def _only_in_one(sources: Sequence[PathLike], values: Sequence[RobotValues]) -> 
     """Yield a remark on the effects, or parts of them, that the other result has not: they differ from nothing."""
     keys = [
         {
-            (name, effect.link or effect.joint)
+            (name, effect.location)
             for effect in each.effects
-            for name in (effect.effect, *(part.name for part in effect_class(effect.effect).grid()[0].parts))
+            for name in (effect.effect, *(part.name for part in effect.cls.grid()[0].parts))
         }
         for each in values
     ]

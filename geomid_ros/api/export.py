@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from geomid_ros.api.options import ExportOptions, SampleOptions
 from geomid_ros.api.robot import entries
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, described, patch_user_mjcf
 from geomid_ros.exports.formats import CONTROLLERS, JSON, Export
 from geomid_ros.exports.model import ExportModel, read_model
@@ -78,8 +78,7 @@ def check_into(tool: str, into: PathLike | None) -> None:
 def _check(options: ExportOptions) -> None:
     """Refuse inconsistent options. Raises InputError."""
     tool, is_payload = options.tool, options.links is not None or options.without is not None
-    if tool not in (*CONTROLLERS, *DESCRIPTIONS):
-        raise unknown_name("reader", tool, (*CONTROLLERS, *DESCRIPTIONS))
+    check_name("reader", tool, (*CONTROLLERS, *DESCRIPTIONS))
     check_into(tool, options.into)
     if options.into is not None and options.frame:
         raise InputError("into and frame exclude each other: a payload is printed alone; leave one out")
@@ -168,7 +167,6 @@ def sample(options: SampleOptions) -> SampledRobots:
     Raises:
         InputError: the files or arguments cannot be used.
     """
-    if options.tool not in (*DESCRIBED_FOR, JSON):
-        raise unknown_name("reader", options.tool, (*DESCRIBED_FOR, JSON))
+    check_name("reader", options.tool, (*DESCRIBED_FOR, JSON))
     check_into(options.tool, options.into)
     return SampledRobots(sample_robots(Path(options.model), options.count, options.seed, options.spread), options)

@@ -19,13 +19,11 @@ from geomid_ros.exports.descriptions import DESCRIPTIONS, DescriptionFiles, as_d
 from geomid_ros.exports.handover import FileTest, evaluate_description, file_name
 from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.files.disk import staged, write_json, write_text
-from geomid_ros.files.models.effects_file import is_coefficient
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.schema import to_document
 from geomid_ros.gap.result import Finding, GapResult, Verdict
-from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, shared, silent, takes
 from geomid_ros.report.gap_page import GapPage, write_gap_page
@@ -85,7 +83,7 @@ class Gap:
             return None
         identified = dict(zip(self.result.channels, (self.result.gap.after * self.result.floor).tolist(), strict=True))
         written, session = self._written, self.session
-        errors = {e.effect for e in written.effects if effect_class(e.effect).is_sensor_error and is_coefficient(e)}
+        errors = {e.effect for e in written.effects if e.cls.is_sensor_error and e.is_coefficient}
         parameters = session.configuration.with_values({"effects": sorted(errors), "candidates": []})
         with_errors = Session(session.urdf, parameters, session.robot.source)
         test = with_errors, self.reader, self._description, self.held_out, identified

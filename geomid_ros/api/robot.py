@@ -14,7 +14,7 @@ from geomid_ros.files.models.urdf import SUFFIX, read_urdf
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.moving_base import Imu
-from geomid_ros.options import Options, named_once
+from geomid_ros.options import Options, named_once, numbers_in
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import Config, DescriptionOptions, Gains, PathLike, Paths, Texts, paths, texts
 from geomid_ros.session.recordings import Bags, Topics, read_with_locked, recorded_description
@@ -175,10 +175,10 @@ def _gains(given: Gains) -> dict[str, float]:
 def _gain(text: str) -> tuple[str, float]:
     """Return the joint of ``[JOINT=]FACTOR``, empty for all joints, and its factor."""
     joint, _, factor = text.rpartition("=")
-    try:
-        return joint, float(factor)
-    except ValueError as error:
-        raise InputError(f"gain: '{text}' is not of the form [JOINT=]FACTOR, e.g. -1 or joint3=0.5") from error
+    match numbers_in(factor):
+        case [number]:
+            return joint, number
+    raise InputError(f"gain: '{text}' is not of the form [JOINT=]FACTOR, e.g. -1 or joint3=0.5")
 
 
 def _gains_of(text: str) -> list[str]:

@@ -31,7 +31,7 @@ from geomid_ros.api.robot import (
     topics,
 )
 from geomid_ros.checks.verdict import recording_verdict
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name, unknown_name
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import TOTAL
@@ -190,8 +190,7 @@ class Requirement:
         if match is None:
             raise InputError(f"requirement '{text}': {_HOW}")
         quantity, reference = match["quantity"], match["times"] or match["reference"] or ""
-        if quantity not in QUANTITIES:
-            raise InputError(f"requirement '{text}': {unknown_name('quantity', quantity, QUANTITIES)}")
+        check_name("quantity", quantity, QUANTITIES, f"requirement '{text}'")
         if reference and reference not in QUANTITIES[quantity]:
             multiples = f" or a multiple of {' or '.join(QUANTITIES[quantity])}" if QUANTITIES[quantity] else ""
             raise InputError(

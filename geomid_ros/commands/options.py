@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import click
 
 from geomid_ros.errors import InputError
-from geomid_ros.options import explained, named_once, names_in
+from geomid_ros.options import explained, named_once, names_in, numbers_in
 
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 _NONE = "'none' for none"
@@ -58,21 +58,18 @@ class Names(click.ParamType):  # type: ignore[type-arg]  # older releases of cli
 
 def numbers(_context: click.Context, option: click.Parameter, text: str | None) -> list[float]:
     """Parse numbers separated by commas; an empty list for no text. Raises InputError."""
-    try:
-        return [] if text is None else [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"{option.opts[0]} is '{text}', expected numbers separated by commas") from error
+    if text is not None and not (numbers := numbers_in(text)):
+        raise InputError(f"{option.opts[0]} is '{text}', expected numbers separated by commas")
+    return numbers if text is not None else []
 
 
 def share(_context: click.Context, _option: click.Parameter, text: str | None) -> float:
     """Parse a fraction such as ``5%`` or ``0.05``; 0 for no text."""
-    try:
-        number = float((text or "0").removesuffix("%")) / (100.0 if (text or "").endswith("%") else 1.0)
-    except ValueError:
-        number = -1.0
-    if not 0.0 <= number < 1.0:
-        raise click.BadParameter(f"'{text}' is not a share; expected e.g. 5%")
-    return number
+    given = text or "0"
+    match numbers_in(given.removesuffix("%")):
+        case [number] if 0.0 <= (share := number / (100.0 if given.endswith("%") else 1.0)) < 1.0:
+            return share
+    raise click.BadParameter(f"'{text}' is not a share; expected e.g. 5%")
 
 
 def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:

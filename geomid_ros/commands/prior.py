@@ -11,7 +11,7 @@ import click
 
 from geomid_ros.commands.options import PATH, Names, Output, options_of
 from geomid_ros.commands.terminal import plain_table, progress_bar, results_console
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.session.options import PackageOptions
 
 if TYPE_CHECKING:
@@ -55,8 +55,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     robot = ShapedUrdf(text, str(urdf))
     kept = keep or []
     for name in kept:
-        if name not in robot.links:
-            raise unknown_name("link to keep", name, robot.links)
+        check_name("link to keep", name, robot.links)
     reader = ShapeReader(urdf, package_path)
     solids = _solids(reader, {name: link for name, link in robot.links.items() if name not in kept})
     robot.check_staying(solids)
@@ -142,7 +141,7 @@ def _show(prior: ShapePrior, kept: Sequence[str]) -> None:
         volume = f"{1000.0 * shapes.volume(link.solid.moments):.3f}" if link.solid else ""
         table.add_row(link.name, _shape(link, kept), volume, before, after, link.verdict or "plausible")
     table.add_section()
-    table.add_row("total", "", "", f"{prior.mass_before:.3f}", f"{prior.mass:.3f}", "")
+    table.add_row("total", "", "", f"{sum(link.before.mass for link in prior.links):.3f}", f"{prior.mass:.3f}", "")
     results_console().print(table)
 
 

@@ -14,17 +14,9 @@ from rich.table import Table
 
 import geomid_ros
 from geomid_ros.checks.verdict import DOUBTFUL, USABLE, recording_verdict
-from geomid_ros.commands.terminal import (
-    lines,
-    plain_table,
-    print_remarks,
-    print_verdict,
-    results_console,
-    say,
-)
+from geomid_ros.commands.terminal import lines, plain_table, print_remarks, print_verdict, results_console, say
 from geomid_ros.estimation.estimate import EffectEstimate, LinkEstimate, WeighedEstimate
 from geomid_ros.exports.handover import FileTest
-from geomid_ros.files.models.effects_file import is_coefficient
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.effects import EFFECTS, KnownEffect
@@ -64,7 +56,7 @@ def show_identification(found: geomid_ros.Identification) -> None:
     if of_joints:
         console.print(_joint_effects_table(of_joints))
     listed = {(effect.name, effect.joint) for effect in of_joints}
-    others = [e for e in file.known_effects if (e.effect, e.joint) not in listed or not is_coefficient(e)]
+    others = [e for e in file.known_effects if (e.effect, e.joint) not in listed or not e.is_coefficient]
     if others:
         console.print(_other_effects_table(others))
     console.print(_errors_table(file))

@@ -162,7 +162,7 @@ def _links(first: RobotValues, second: RobotValues, names: list[str]) -> Iterato
 
 def _effects(first: RobotValues, second: RobotValues) -> Iterator[Difference]:
     """Yield every parameter that either result has."""
-    firsts, seconds = ({(e.effect, e.link or e.joint): e.parameters for e in r.effects} for r in (first, second))
+    firsts, seconds = ({(e.effect, e.location): e.parameters for e in r.effects} for r in (first, second))
     for key in dict.fromkeys((*firsts, *seconds)):
         before, after = firsts.get(key, {}), seconds.get(key, {})
         for name in dict.fromkeys((*before, *after)):

@@ -324,7 +324,7 @@ def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
             _parameter_groups(problem),
             least_inflation=1.0 / white * independent / problem.independent_fraction,
             assumed_prior_stds=prior_stds,
-            expected=_information_at(manifold, solution.point, known.prior_rows),
+            expected=_information_at(manifold, solution.point, known.rows[len(known.masses) :]),
         )
 
     errors = errors_for(assumed)

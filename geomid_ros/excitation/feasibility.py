@@ -52,7 +52,7 @@ class PathClearance:
 
     def __init__(self, course: Course, duration: float, collision: CollisionModel, clearances: FloatArray) -> None:
         self._course, self._collision, self._clearances = course, collision, clearances
-        self._reach = collision.reach @ collision.coupling_sizes
+        self._reach = collision.reach @ np.abs(collision.robot.coupling)
         self._times = np.linspace(0.0, duration, int(np.ceil(_RATE * duration)) + 1)
         self._distances = collision.distances(course(self._times)[0])
 

@@ -32,7 +32,7 @@ from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import joint_attributes, of_followers, tilted_gravity, unrepresentable
 from geomid_ros.files.models.mjcf import Shapes, mjcf, mjcf_shapes, with_identified
 from geomid_ros.files.models.readers import ELEMENTS, EXISTING_MJCF
-from geomid_ros.files.models.urdf import for_drake, for_gazebo, joint_frames, with_effects
+from geomid_ros.files.models.urdf import for_drake, for_gazebo, with_effects
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.robot import Robot
@@ -331,7 +331,7 @@ def _base(model: ExportModel, compiled: CompiledMjcf, path: Path) -> FloatArray:
 def _urdf_axes(model: ExportModel, names: Iterable[str]) -> dict[str, FloatArray]:
     """Point and direction ``(2, 3)`` of the axes of the joints in ``names``, in the frame of the URDF's root."""
     axes = {}
-    for joint in joint_frames(model.urdf, str(model.urdf_path)):
+    for joint in model.tree.joints:
         if joint.name in set(names) and np.any(joint.axis):
             placed = model.placements[joint.child]
             axes[joint.name] = np.array([placed[:3, 3], placed[:3, :3] @ joint.axis])

@@ -22,7 +22,7 @@ from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, MUJOCO, URD
 from geomid_ros.files.models.written_model import WrittenModel, written_model
 from geomid_ros.files.schema import attributes_entry
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS, Effect, KnownEffect, MotionEffect, Place, effect_class
+from geomid_ros.model.effects import EFFECTS, Effect, KnownEffect, MotionEffect, Place
 from geomid_ros.model.effects.situation import pair_name, place_named
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -215,7 +215,7 @@ def _added(read: ReadBack, effects: Iterable[KnownEffect]) -> tuple[str, ...]:
     """Effects in words that a description has at joints and the ``effects`` have not: its own fit chose them, or they
     are of the given description."""
     elements = ELEMENTS[read.reader]
-    own = {(e.joint, form.place_in(elements)) for e in effects for form in effect_class(e.effect).parameters}
+    own = {(e.joint, form.place_in(elements)) for e in effects for form in e.cls.parameters}
     names = {cls.parameters[0].place_in(elements): cls.name for cls in reversed(EFFECTS.values())}
     added = [pair for pair, value in read.attributes.items() if value and pair[1] in names and pair not in own]
     return tuple(with_places((effect_name(names[at]), joint) for joint, at in added))
@@ -383,7 +383,7 @@ def evaluate_description(
         written = read_urdf_back(session.read_robot(description.text, name), reader, description.extra_files)
     given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
     model = session.model
-    of_sensors = [effect for effect in beside if effect_class(effect.effect).is_sensor_error]
+    of_sensors = [effect for effect in beside if effect.cls.is_sensor_error]
     errors = np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
     kinds = ((written, 0.0), (written, errors), (given, 0.0))
     parameters = np.column_stack([read.parameters(model) + offsets for read, offsets in kinds])

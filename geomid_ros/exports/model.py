@@ -12,16 +12,11 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import QUANTITIES, UncertainInertia
-from geomid_ros.files.models.effects_file import (
-    QUANTITY_NAMES,
-    is_payload,
-    is_payload_name,
-    joint_attributes,
-)
+from geomid_ros.files.models.effects_file import QUANTITY_NAMES, is_payload_name, joint_attributes
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.posterior import RTOL
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_absolute_files, with_inertials
+from geomid_ros.files.models.urdf import read_urdf, with_absolute_files, with_inertials
 from geomid_ros.files.models.written_model import IDENTIFIED, fitted_model_of
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
@@ -62,7 +57,7 @@ class ExportModel:
     @cached_property
     def placements(self) -> dict[str, FloatArray]:
         """Homogeneous matrices ``(4, 4)`` of all links in the root's frame, with all joints at zero."""
-        joints = {joint.child: joint for joint in joint_frames(self.urdf, str(self.urdf_path))}
+        joints = {joint.child: joint for joint in self.tree.joints}
         placements = {self.tree.root: np.eye(4)}
         for link in self.tree.subtree(self.tree.root)[1:]:
             placed = pseudo_inertia.change_of_frame(joints[link].rotation, joints[link].position)
@@ -127,11 +122,11 @@ def read_model(path: Path, reader: str = "") -> ExportModel:
     text, source = read_urdf(urdf), str(path)
     tree = parse(text, str(urdf))
     bodies = _estimated_bodies(file, tree)
-    known = effects = tuple(effect for effect in file.known_effects if not is_payload(effect))
+    known = effects = tuple(effect for effect in file.known_effects if not effect.is_payload)
     written = fitted_model_of(file, reader)
     friction = _dynamics(text, str(urdf), effects)
     if written is not None:
-        effects = tuple(effect for effect in written.effects if not is_payload(effect))
+        effects = tuple(effect for effect in written.effects if not effect.is_payload)
     model = ExportModel(
         source=source,
         tree=tree,
@@ -207,7 +202,7 @@ def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, Uncertain
         unknown = bodies.keys() - {link for links in merged.values() for link in links}
         bodies |= {name: replace(bodies[name], cannot_tell=QUANTITIES) for name in unknown}
     bodies |= file.bodies
-    for effect in filter(is_payload, file.known_effects):
+    for effect in (effect for effect in file.known_effects if effect.is_payload):
         name = payload_link(tree, effect.link)
         if name in bodies:
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in QUANTITY_NAMES]

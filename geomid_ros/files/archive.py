@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, refusing
 from geomid_ros.files.schema import Stored, from_document, from_upper_triangle, upper_triangle
 from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
 from geomid_ros.types import AnyArray, FloatArray
@@ -167,14 +167,12 @@ def unpack(content: bytes) -> tuple[str, dict[str, AnyArray]]:
     start, numbers = body[_LENGTH.size : _LENGTH.size + length], body[_LENGTH.size + length :]
     header = _parsed(start.decode("utf-8", errors="replace"))
     header.pop(_CHECKSUM, None)
-    try:
+    with refusing("the header does not describe its text and vectors", LookupError, TypeError, ValueError):
         text = str(header.pop(_TEXTS)["document"])
         vectors = {
             name: np.frombuffer(numbers[slice(*tensor["data_offsets"])], _DTYPES[tensor["dtype"]])
             for name, tensor in header.items()
         }
-    except (LookupError, TypeError, ValueError) as error:
-        raise InputError(f"the header does not describe its text and vectors ({error!r})") from error
     if pack(text, vectors) != content:
         raise InputError("the header describes other vectors than those that are there")
     return text, vectors
@@ -182,10 +180,8 @@ def unpack(content: bytes) -> tuple[str, dict[str, AnyArray]]:
 
 def _parsed(text: str, restored: Callable[[dict[str, Any]], Any] | None = None) -> dict[str, Any]:
     """JSON object without NaN or infinity, in which ``restored`` replaces inner objects. Raises InputError."""
-    try:
+    with refusing("its text cannot be read", ValueError, RecursionError):
         document = json.loads(text, parse_constant=_refuse, object_hook=restored)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"its text cannot be read ({error})") from error
     if not isinstance(document, dict):
         raise InputError("its text is not a JSON object")
     return document

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from geomid_ros.checks.causes import RecordingFault
-from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.errors import GeomidError, InputError, refusing
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.files.archive import MOST_HEADER, decoded, encoded, unarchived
@@ -84,7 +84,7 @@ class CheckpointFolder:
         self._number = 0
         self._next = 0  # of the names
         self._in_the_way = ""
-        try:
+        with refusing(f"{path}: no folder for checkpoints", OSError, kind=GeomidError):
             make_folder(path)
             mode = stat.S_IMODE(path.stat().st_mode)
             if mode & (stat.S_IRWXG | stat.S_IRWXO):
@@ -92,8 +92,6 @@ class CheckpointFolder:
             self._lock = os.open(
                 path / _LOCK, os.O_RDONLY | os.O_NONBLOCK | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, FOR_OWNER
             )
-        except OSError as error:
-            raise GeomidError(f"{path}: no folder for checkpoints ({error.strerror or error})") from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -160,10 +158,8 @@ class CheckpointFolder:
         if self._in_the_way:
             raise GeomidError(self._in_the_way)
         path = self.path / _NAMES[self._next]
-        try:
+        with refusing(f"{path}: cannot be written", InputError, kind=GeomidError):
             content = encoded(vars(replace(checkpoint, number=self._number + 1)), checkpoint.accounts)
-        except InputError as error:
-            raise GeomidError(f"{path}: cannot be written ({error})") from error
         write_bytes(path, content)
         self._number += 1
         self._next = 1 - self._next

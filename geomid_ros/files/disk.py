@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.errors import GeomidError, InputError, refusing
 
 MOST_BYTES = 100_000_000
 """Maximum size of a file that is read as a whole, unless a smaller bound is given [bytes]; also of a message, or of a
@@ -23,10 +23,8 @@ FOR_OWNER = stat.S_IRUSR | stat.S_IWUSR
 
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` to ``path``. Raises GeomidError naming the file."""
-    try:
+    with refusing(f"{path}: cannot be written", UnicodeEncodeError, kind=GeomidError):
         content = text.encode()
-    except UnicodeEncodeError as error:
-        raise GeomidError(f"{path}: cannot be written ({error})") from error
     write_bytes(path, content)
 
 
@@ -40,7 +38,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
     Only the owner may read it. Missing folders are made. Raises GeomidError naming the file.
     """
-    try:
+    with refusing(f"{path}: cannot be written", OSError, kind=GeomidError):
         make_folder(path.parent)
         descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         temporary = Path(name)
@@ -55,8 +53,6 @@ def write_bytes(path: Path, content: bytes) -> None:
             temporary.unlink()
             raise
         _sync_folder(path.parent)
-    except OSError as error:
-        raise GeomidError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 @contextmanager
@@ -96,12 +92,10 @@ def check_writable(folder: Path) -> None:
 
     Raises GeomidError naming it.
     """
-    try:
+    with refusing(f"{folder}: cannot be written", OSError, kind=GeomidError):
         existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
         with tempfile.TemporaryFile(dir=existing):
             pass
-    except OSError as error:
-        raise GeomidError(f"{folder}: cannot be written ({error.strerror or error})") from error
 
 
 def _sync_folder(folder: Path) -> None:
@@ -121,13 +115,11 @@ def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
 
     A pipe or a device is not opened, as reading it may never end.
     """
-    try:
+    with refusing(f"{path}: the {what} cannot be read", OSError):
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: not a regular file; expected a {what}")
         with path.open("rb") as file:
             data = file.read(most_bytes + 1)
-    except OSError as error:
-        raise InputError(f"{path}: the {what} cannot be read ({error.strerror or error})") from error
     if len(data) > most_bytes:
         raise InputError(f"{path}: larger than {most_bytes / 1e6:g} MB, not a {what}")
     return data
@@ -135,7 +127,5 @@ def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
 
 def read_text(path: Path, what: str, most_bytes: int = MOST_BYTES) -> str:
     """Text of a UTF-8 file with its line ends; otherwise like :func:`read_bytes`. Raises InputError naming it."""
-    try:
+    with refusing(f"{path}: the {what} cannot be read", UnicodeDecodeError, advice="save it as UTF-8"):
         return read_bytes(path, what, most_bytes).decode()
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: the {what} cannot be read ({error}); save it as UTF-8") from error

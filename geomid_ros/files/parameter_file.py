@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, refusing, unknown_name
 from geomid_ros.excitation.limits import JointLimits
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.schema import MOST_ENTRIES
@@ -55,10 +55,8 @@ for _kind, _form, _beginnings in (
 def read_yaml(path: Path, what: str) -> Any:
     """Content of a YAML file; ``what`` names it in messages. Raises InputError naming the file."""
     text = read_text(path, what, MOST_URDF_BYTES)  # a parameter may contain a robot description
-    try:
+    with refusing(f"{path}: the {what} cannot be read", Exception):  # the parser raises many types of errors
         return yaml.load(text, _Loader)  # noqa: S506 it is a safe loader
-    except Exception as error:  # the parser raises many types of errors
-        raise InputError(f"{path}: the {what} cannot be read ({' '.join(str(error).split())})") from error
 
 
 def read_parameter_file(path: Path) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args,
 
 import numpy as np
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, refusing
 from geomid_ros.files.disk import read_text
 from geomid_ros.model.urdf_tree import LARGEST_NUMBER
 from geomid_ros.types import AnyArray, FloatArray, frozen
@@ -52,10 +52,10 @@ def read_document(path: Path, what: str, keys: tuple[str, ...]) -> dict[str, Any
 
     Raises InputError naming the file.
     """
-    try:
+    with refusing(
+        f"{path}: the {what} cannot be read, it must be JSON as geomid writes it", ValueError, RecursionError
+    ):
         document = json.loads(read_text(path, what))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: the {what} cannot be read, it must be JSON as geomid writes it ({error})") from error
     check_form(document, keys, f"{path}:", what)
     return dict(document)
 

@@ -16,7 +16,7 @@ from scipy.spatial import QhullError
 from trimesh import creation
 from trimesh.units import unit_conversion
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, refusing
 from geomid_ros.files.disk import read_bytes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import shapes
@@ -231,12 +231,10 @@ def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
         content = read_bytes(path, "mesh")
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
-    try:
+    with refusing(f"{where}: {path} cannot be read", Exception):  # a broken file makes its reader raise any error
         scene = trimesh.load_scene(BytesIO(content), file_type=suffix[1:], skip_materials=True)
         unit = unit_conversion(scene.units, "meters") if scene.units else 1.0
         loaded = scene.to_mesh()
-    except Exception as error:  # a broken file makes its reader raise any error
-        raise InputError(f"{where}: {path} cannot be read ({error})") from error
     vertices = unit * np.asarray(loaded.vertices, dtype=np.float64)
     if not len(loaded.faces) or not np.all(np.isfinite(vertices)):
         raise InputError(f"{where}: {path} has no triangles with finite vertices")

@@ -19,7 +19,7 @@ import yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.errors import GeomidError, InputError, refusing
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.disk import read_text, write_text
@@ -82,7 +82,7 @@ def _write(folder: Path, message: Any) -> None:
     existing = [*folder.iterdir()] if folder.is_dir() else []
     if folder.exists() and not all(file.name == "metadata.yaml" or file.suffix == ".mcap" for file in existing):
         raise InputError(f"{folder}: already exists and is not a bag; give another folder")
-    try:
+    with refusing(f"{folder}: the bag cannot be written", OSError, kind=GeomidError):
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:
             bag = Path(temporary) / folder.name
@@ -91,8 +91,6 @@ def _write(folder: Path, message: Any) -> None:
                 writer.write(connection, 0, _TYPES.serialize_cdr(message, _KIND))
             shutil.rmtree(folder, ignore_errors=True)
             bag.rename(folder)
-    except OSError as error:
-        raise GeomidError(f"{folder}: the bag cannot be written ({error})") from error
 
 
 _ONE_OF = {"positions": "position", "velocities": "velocity", "accelerations": "acceleration", "effort": "effort"}
@@ -188,12 +186,10 @@ def _trajectory(source: str, joints: tuple[str, ...], rows: Sequence[_Row]) -> T
 
 def _document(path: Path) -> Mapping[str, Any]:
     text = read_text(path, "trajectory")
-    try:
+    with refusing(f"{path}: the trajectory cannot be read", yaml.YAMLError, ValueError, RecursionError):
         if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, _Loader)):
             raise InputError(f"{path}: the trajectory has aliases, which are not allowed")
         document: Any = next(iter(yaml.load_all(text, _Loader)), None)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: the trajectory cannot be read ({' '.join(str(error).split())})") from error
     for name in _AROUND:
         inner = document.get(name) if isinstance(document, dict) else None
         document = inner[0] if isinstance(inner, list) and len(inner) == 1 else inner or document

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from geomid_ros.estimation.estimate import STDS_OF_95
-from geomid_ros.model.effects import KnownEffect, Quantity, Values, effect_class, values_of
+from geomid_ros.model.effects import KnownEffect, Quantity, Values, effect_class
 from geomid_ros.types import FloatArray, IntArray
 
 Confidence: TypeAlias = Literal["confident", "tentative", "ambiguous"]
@@ -284,5 +284,5 @@ def effort_gains(findings: Sequence[Finding], channels: Sequence[str]) -> FloatA
     gains = dict.fromkeys(channels, 1.0)
     for finding in findings:
         if finding.confidence == "confident" and finding.joint in gains:
-            gains[finding.joint] *= effect_class(finding.effect).effort_scale(values_of(finding))
+            gains[finding.joint] *= finding.cls.effort_scale(finding.values)
     return np.array([gains[channel] for channel in channels])

@@ -26,7 +26,7 @@ from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.inference.prior import OtherRecordings, Prior
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.coefficients import Coefficient
-from geomid_ros.model.effects import KnownEffect, effect_class, values_of
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST, Samples
 from geomid_ros.options import Progress, silent
@@ -269,7 +269,7 @@ def _with_other_effects(
     situation = LinearisedProblem.at(model, records, fit_of_prior(prior)).situation
     candidates, values, prior_stds = [], list(prior.values), list(prior.prior_stds)
     for effect in others:
-        cls, numbers = effect_class(effect.effect), values_of(effect)
+        cls, numbers = effect.cls, effect.values
         place = model.places.named(cls(), effect.joint)
         load = situation.typical_load(place)
         candidate, coefficients = Candidate.of(cls.from_values(numbers, load), place), cls.coefficients(numbers, load)

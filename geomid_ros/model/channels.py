@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.types import IntArray
 
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -41,11 +41,9 @@ class WrenchSensor:
     frame_id: str = ""
 
     def __post_init__(self) -> None:
-        if self.role not in ROLES:
-            raise unknown_name("wrench role", self.role, ROLES)
+        check_name("wrench role", self.role, ROLES)
         for axis in self.axes:
-            if axis not in AXES:
-                raise unknown_name("wrench axis", axis, AXES)
+            check_name("wrench axis", axis, AXES)
         if not self.axes or len(set(self.axes)) < len(self.axes) or self.sign not in (1.0, -1.0):
             raise InputError(
                 f"wrench '{self.topic}': at least one axis, each once, and a sign of 1 or -1 are needed, "

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import TypeAlias
 
-from geomid_ros.errors import unknown_name
+from geomid_ros.errors import check_name
 from geomid_ros.model.channels import BASE, ChannelLayout, WrenchSensor
 from geomid_ros.model.effects import (
     AtJoint,
@@ -115,8 +115,7 @@ class EffectPlaces:
     def named(self, effect: Effect, name: str) -> Place:
         """Return the place ``name`` of an effect. Raises InputError with the valid names."""
         places = {self.name(place): place for place in self.of(effect)}
-        if name not in places:
-            raise unknown_name(f"place of {effect.label}", name, places)
+        check_name(f"place of {effect.label}", name, places)
         return places[name]
 
     def is_default(self, place: Place) -> bool:

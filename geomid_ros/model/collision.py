@@ -58,7 +58,7 @@ class CollisionModel:
         self, robot: Robot, shapes: Mapping[str, Sequence[ConvexShape]], obstacles: Sequence[Obstacle] = ()
     ) -> None:
         """Build the model; ``shapes`` by the link in whose frame they are expressed."""
-        self._robot = robot
+        self.robot = robot
         self.shapes, self.obstacles = shapes, obstacles
         self._model = robot.pinocchio_model
         self._data = self._model.createData()
@@ -118,11 +118,6 @@ class CollisionModel:
                 lever += float(np.linalg.norm(model.jointPlacements[joint].translation)) + travel
         return bounds
 
-    @property
-    def coupling_sizes(self) -> FloatArray:
-        """Absolute values of :attr:`Robot.coupling` ``(nv, joints)``: pinocchio's velocities per joint velocity."""
-        return np.abs(self._robot.coupling)
-
     def without(self, pairs: IntArray) -> None:
         """Drop ``pairs``, by index."""
         remaining = np.setdiff1d(np.arange(len(self._indices)), pairs)
@@ -132,14 +127,14 @@ class CollisionModel:
     def distances(self, position: FloatArray) -> FloatArray:
         """Compute distances ``(N, pairs)`` [m] at positions ``(N, joints)``; negative where shapes overlap."""
         table = np.empty((len(position), len(self.pairs)))
-        for row, q in zip(table, self._robot.pinocchio_positions(position), strict=True):
+        for row, q in zip(table, self.robot.pinocchio_positions(position), strict=True):
             pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
             row[:] = [result.min_distance for result in self._geometry_data.distanceResults]
         return table
 
     def gradients(self, position: FloatArray, pairs: IntArray) -> tuple[FloatArray, FloatArray]:
         """Compute distances of ``pairs (n,)`` at one ``position (joints,)``, and their gradients ``(n, joints)``."""
-        (q,) = self._robot.pinocchio_positions(position[None])
+        (q,) = self.robot.pinocchio_positions(position[None])
         pin.computeJointJacobians(self._model, self._data, q)
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
         values, slopes = np.empty(len(pairs)), np.empty((len(pairs), len(position)))
@@ -148,7 +143,7 @@ class CollisionModel:
             values[row] = nearest.min_distance
             ends = nearest.getNearestPoint1(), nearest.getNearestPoint2()
             jacobians = [self._point_jacobian(shape, end) for shape, end in zip(self._indices[pair], ends, strict=True)]
-            slopes[row] = (nearest.normal @ (jacobians[1] - jacobians[0])) @ self._robot.coupling
+            slopes[row] = (nearest.normal @ (jacobians[1] - jacobians[0])) @ self.robot.coupling
         return values, slopes
 
     def _point_jacobian(self, shape: int, point: FloatArray) -> FloatArray:

@@ -101,11 +101,6 @@ class Entries:
                 by_class.setdefault(type(function), []).append(function)
         return by_class
 
-    @property
-    def of_own_motion(self) -> Entries:
-        """Entries of the :class:`JointColumn` columns only."""
-        return Entries(tuple(c for c in self.columns if isinstance(c, JointColumn)), self.joints)
-
     @cached_property
     def _spans(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
         spans, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0

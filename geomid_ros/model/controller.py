@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.options import numbers_in
 from geomid_ros.types import FloatArray
 
 
@@ -21,13 +22,10 @@ class Gains:
     @staticmethod
     def parse(text: str) -> Gains:
         """Parse ``KP:KD``. Raises InputError."""
-        try:
-            kp, kd = map(float, text.split(":"))
-        except ValueError:
-            kp = kd = np.nan
-        if not (0.0 < kp < np.inf and 0.0 <= kd < np.inf):
-            raise InputError(f"gains '{text}' are not of the form KP:KD, e.g. 20:0.5 [N m/rad, N m s/rad], KP above 0")
-        return Gains(kp, kd)
+        match numbers_in(text, ":"):
+            case [kp, kd] if kp > 0.0 and kd >= 0.0:
+                return Gains(kp, kd)
+        raise InputError(f"gains '{text}' are not of the form KP:KD, e.g. 20:0.5 [N m/rad, N m s/rad], KP above 0")
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,16 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.channels import (
-    AXES,
-    BASE,
-    WORLD_FRAMES,
-    Channel,
-    ChannelLayout,
-    WrenchSensor,
-)
+from geomid_ros.model.channels import AXES, BASE, WORLD_FRAMES, Channel, ChannelLayout, WrenchSensor
 from geomid_ros.model.coefficients import Coefficient, EffectPlaces, Mechanism
 from geomid_ros.model.columns import Column, Entries, affected_joints, column_of, entries_of
 from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, SensorEffect, joint_of
@@ -111,8 +104,7 @@ class MeasurementModel:
     def _identified_bodies(self, links: Sequence[str] | None) -> tuple[int, ...]:
         names = self.robot.body_names
         for link in links or ():
-            if link not in names:
-                raise unknown_name("link", link, names)
+            check_name("link", link, names)
         return tuple(index for index, name in enumerate(names) if links is None or name in links)
 
     def _check_sensors(self) -> None:
@@ -120,8 +112,8 @@ class MeasurementModel:
         for sensor in self.sensors:
             if sensor.role == "mounted":
                 self._check_mounted(sensor)
-            elif sensor.frame not in frames:
-                raise unknown_name("frame of an external wrench", sensor.frame, frames)
+            else:
+                check_name("frame of an external wrench", sensor.frame, frames)
         topics = [sensor.topic for sensor in self.sensors]
         if len(set(topics)) < len(topics):
             raise InputError(f"two wrench sensors have the same topic: {', '.join(topics)}")
@@ -137,8 +129,7 @@ class MeasurementModel:
             )
 
     def _check_mounted(self, sensor: WrenchSensor) -> None:
-        if sensor.frame not in self.robot.tree.links:
-            raise unknown_name("frame of a mounted wrench sensor", sensor.frame, self.robot.tree.links)
+        check_name("frame of a mounted wrench sensor", sensor.frame, self.robot.tree.links)
         if not self.robot.is_divided_at(sensor.frame):
             raise InputError(
                 f"a wrench sensor is mounted at link '{sensor.frame}', where the robot's bodies are not divided; add "

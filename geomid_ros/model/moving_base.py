@@ -10,16 +10,16 @@ determines the moment on a flat foot; with fewer joints a foot is a point contac
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.model import se3
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
+from geomid_ros.options import numbers_in
 from geomid_ros.types import FloatArray, IntArray
 
 
@@ -102,13 +102,10 @@ class Contact:
     def parse(text: str) -> Contact:
         """Parse ``FRAME`` or ``FRAME:RADIUS``. Raises InputError for any other form."""
         frame, colon, radius = text.partition(":")
-        try:
-            contact = Contact(frame, float(radius) if colon else 0.0)
-        except ValueError:
-            contact = Contact("")
-        if not contact.frame or not 0.0 <= contact.radius < math.inf:
-            raise InputError(f"contact '{text}' is not of the form FRAME or FRAME:RADIUS, e.g. FL_foot:0.022 [m]")
-        return contact
+        match numbers_in(radius) if colon else [0.0]:
+            case [number] if frame and number >= 0.0:
+                return Contact(frame, number)
+        raise InputError(f"contact '{text}' is not of the form FRAME or FRAME:RADIUS, e.g. FL_foot:0.022 [m]")
 
 
 class Legs:
@@ -136,8 +133,7 @@ class Legs:
 
     def _joints(self, contact: Contact) -> IntArray:
         robot, frame = self._robot, contact.frame
-        if frame not in robot.tree.links:
-            raise unknown_name("link of a contact", frame, robot.tree.links)
+        check_name("link of a contact", frame, robot.tree.links)
         above = {joint.name for joint in robot.tree.joints_above(frame)}
         joints = np.array([index for index, name in enumerate(robot.joint_names) if name in above], dtype=np.int64)
         if len(joints) < DIRECTIONS:

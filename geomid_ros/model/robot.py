@@ -11,7 +11,7 @@ from itertools import takewhile
 import numpy as np
 import pinocchio as pin
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name, refusing, unknown_name
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model import urdf_tree
 from geomid_ros.model.samples import Samples
@@ -172,8 +172,7 @@ class Robot:
     def _without_locked(self, model: pin.Model) -> pin.Model:
         indices = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
         for name in sorted(self.locked_joints):
-            if name not in indices:
-                raise unknown_name("joint to lock", name, indices)
+            check_name("joint to lock", name, indices)
         if not self.locked_joints:
             return model
         return pin.buildReducedModel(model, [indices[name] for name in sorted(self.locked_joints)], pin.neutral(model))
@@ -485,8 +484,7 @@ class Robot:
 
     def carrier(self, frame: str) -> str:
         """Return the body that a link is fixed to. Raises InputError if the link does not exist or does not move."""
-        if frame not in self.tree.links:
-            raise unknown_name("link", frame, self.tree.links)
+        check_name("link", frame, self.tree.links)
         body = self.body_of(frame)
         if body is None:
             raise InputError(f"{self.source}: link '{frame}' is not part of a moving body with mass")
@@ -550,8 +548,7 @@ class Robot:
 
         Raises InputError if the link does not exist or moves relative to the root.
         """
-        if frame not in self.tree.links:
-            raise unknown_name("link", frame, self.tree.links)
+        check_name("link", frame, self.tree.links)
         if not all(map(self._is_fixed, self.tree.joints_above(frame))):
             raise InputError(f"{self.source}: link '{frame}' moves relative to the base; choose a link fixed to it")
         return self.fixed_placement(frame, self.tree.root)
@@ -578,12 +575,10 @@ class Robot:
 
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:
-    try:
+    with refusing(f"{source}: pinocchio cannot build a robot from this URDF", ValueError, RuntimeError):
         if floating_base:
             return pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer(), _ROOT_JOINT)
         return pin.buildModelFromXML(urdf)
-    except (ValueError, RuntimeError) as error:
-        raise InputError(f"{source}: pinocchio cannot build a robot from this URDF ({error})") from error
 
 
 def _transform(placement: pin.SE3) -> FloatArray:

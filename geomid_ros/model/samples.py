@@ -154,7 +154,8 @@ class Samples:
     def with_joints(self, order: IntArray) -> Samples:
         """Return samples in which joint j has the data of joint ``order[j]``; ``order (joints,)``. They lack columns of
         effects that act on several joints."""
-        entries = self.entries.of_own_motion
+        own = tuple(column for column in self.entries.columns if isinstance(column, JointColumn))
+        entries = Entries(own, self.entries.joints)
         effects = [self.effects[:, self.entries.of(column)[0]][:, order] for column in entries.columns]
         arrays: dict[str, Any] = {
             name: self.arrays[name][:, order] for name in ("position", "velocity", "acceleration", "effort")

@@ -86,11 +86,6 @@ class ShapePrior:
     density: float
 
     @property
-    def mass_before(self) -> float:
-        """Mass of all links in the URDF [kg]."""
-        return sum(link.before.mass for link in self.links)
-
-    @property
     def mass(self) -> float:
         """Mass of all links in the prior [kg]."""
         return sum(link.mass for link in self.links)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections import Counter
@@ -41,24 +42,23 @@ AXES = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3,
 """Number of axes by the type of a joint."""
 
 
-@dataclass(frozen=True)
-class Mimic:
-    """A joint's ``<mimic>``: its position is ``factor`` times the master's, plus ``offset``."""
-
-    master: str
-    factor: float
-    offset: float
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UrdfJoint:
-    """One ``<joint>``: its name, type, parent and child links, and its ``<mimic>``, if any."""
+    """A ``<joint>`` at zero: ``position (3,)`` [m] and ``rotation (3, 3)`` of its child link in the parent's frame, its
+    unit ``axis (3,)`` in the child's, its range [rad or m] and its effort limit [N m or N], infinite if there is none;
+    ``mimic``: the joint that moves it, with the factor on its position and what is added, if there is one."""
 
     name: str
     type: str
     parent: str
     child: str
-    mimic: Mimic | None = None
+    position: FloatArray
+    rotation: FloatArray
+    axis: FloatArray
+    lower: float
+    upper: float
+    effort: float
+    mimic: tuple[str, float, float] | None
 
 
 @dataclass(frozen=True)
@@ -140,10 +140,10 @@ def masters(tree: UrdfTree, source: str) -> dict[str, tuple[str, float, float]]:
     for first in (joint for joint in tree.joints if joint.type != "fixed"):
         joint, factor, offset = first, 1.0, 0.0
         for _ in tree.joints:
-            if joint.mimic is None or joint.mimic.master not in by_name:
+            if joint.mimic is None or joint.mimic[0] not in by_name:
                 break
-            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
-            joint = by_name[joint.mimic.master]
+            master, by, added = joint.mimic
+            factor, offset, joint = factor * by, offset + factor * added, by_name[master]
         else:
             raise InputError(f"{source}: joint '{first.name}' mimics itself")
         if joint is not first:
@@ -251,23 +251,41 @@ def _joint(element: Element, source: str) -> UrdfJoint:
     kind = element.get("type", "")
     if kind not in AXES:
         raise InputError(f"{where} is of the unknown type '{kind}'. Valid: {', '.join(AXES)}")
-    origin_of(element, where)
-    if kind != "fixed" and not any(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where)):
+    position, rotation = origin_of(element, where)
+    axis = np.array(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where))
+    if kind != "fixed" and not np.any(axis):
         raise InputError(f"{where}: its <axis> has no direction")
-    if kind in ("revolute", "prismatic") or element.find("limit") is not None:
+    has_range = kind in ("revolute", "prismatic")
+    if has_range or element.find("limit") is not None:
         read_numbers(element, "limit", ("effort", "velocity"), None, where)
-        for key in ("lower", "upper"):
-            read_numbers(element, "limit", (key,), [0.0], where)
-    return UrdfJoint(name, kind, parent.get("link", ""), child.get("link", ""), _mimic(element, where))
+    lower, upper, effort = (_optional(element, "limit", key, 0.0, where) for key in ("lower", "upper", "effort"))
+    return UrdfJoint(
+        name,
+        kind,
+        parent=parent.get("link", ""),
+        child=child.get("link", ""),
+        position=position,
+        rotation=rotation,
+        axis=axis / np.linalg.norm(axis) if np.any(axis) else axis,
+        lower=lower if has_range else -math.inf,
+        upper=upper if has_range else math.inf,
+        effort=effort if effort > 0.0 else math.inf,
+        mimic=_mimic(element, where),
+    )
 
 
-def _mimic(element: Element, where: str) -> Mimic | None:
+def _mimic(element: Element, where: str) -> tuple[str, float, float] | None:
     mimic = element.find("mimic")
     if mimic is None:
         return None
-    (factor,) = read_numbers(element, "mimic", ("multiplier",), [1.0], where)
-    (offset,) = read_numbers(element, "mimic", ("offset",), [0.0], where)
-    return Mimic(mimic.get("joint", ""), factor, offset)
+    factor, offset = (
+        _optional(element, "mimic", key, default, where) for key, default in (("multiplier", 1.0), ("offset", 0.0))
+    )
+    return mimic.get("joint", ""), factor, offset
+
+
+def _optional(parent: Element, tag: str, key: str, default: float, where: str) -> float:
+    return read_numbers(parent, tag, (key,), [default], where)[0]
 
 
 def _refuse_duplicates(names: Iterable[str], kind: str, source: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
+from geomid_ros.options import numbers_in
 from geomid_ros.types import FloatArray
 
 TOTAL = "total"  # the whole robot, fixed links included
@@ -30,17 +31,14 @@ class WeighedMass:
         """Parse ``total=23.4:0.05`` or ``link1+link2=2.1:0.01``. Raises InputError."""
         names, _, numbers = text.rpartition("=")
         links = tuple(name.strip() for name in names.split("+"))
-        try:
-            mass, std = (float(number) for number in numbers.split(":"))
-        except ValueError:
-            mass = std = np.nan
-        valid = 0.0 < mass < np.inf and _MOST_PRECISE * mass <= std < np.inf
-        if not valid or not all(links) or len(set(links)) < len(links):
-            raise InputError(
-                f"the weighed mass '{text}' is not of the form LINK=MASS:STD, LINK+LINK=MASS:STD or {TOTAL}=MASS:STD "
-                f"with positive numbers in kg, STD not below {_MOST_PRECISE:g} MASS, and every link once"
-            )
-        return WeighedMass(links, mass, std)
+        each_once = all(links) and len(set(links)) == len(links)
+        match numbers_in(numbers, ":"):
+            case [mass, std] if each_once and mass > 0.0 and std >= _MOST_PRECISE * mass:
+                return WeighedMass(links, mass, std)
+        raise InputError(
+            f"the weighed mass '{text}' is not of the form LINK=MASS:STD, LINK+LINK=MASS:STD or {TOTAL}=MASS:STD "
+            f"with positive numbers in kg, STD not below {_MOST_PRECISE:g} MASS, and every link once"
+        )
 
     @property
     def name(self) -> str:
@@ -69,11 +67,6 @@ class WeighedRows:
         """Rows of the masses only."""
         count = len(self.masses)
         return WeighedRows(self.rows[:count], self.targets[:count], self.masses)
-
-    @property
-    def prior_rows(self) -> FloatArray:
-        """Rows of the prior only."""
-        return self.rows[len(self.masses) :]
 
 
 def weighed_rows(model: MeasurementModel, weighed: Sequence[WeighedMass]) -> WeighedRows:

@@ -203,7 +203,7 @@ def summary(result: GapResult) -> list[str]:
 
 def _common_gain(result: GapResult) -> list[Finding]:
     """Effort gains of all joints if they are equal within three standard deviations of their mean; else empty."""
-    by_joint = {f.joint: f for f in result.findings if effect_class(f.effect).scales_measurement}
+    by_joint = {f.joint: f for f in result.findings if f.cls.scales_measurement}
     gains = [finding.parameters["gain"] for finding in by_joint.values()]
     joints = result.channels[: result.trace.position.shape[1]]  # effort channels come before wrench channels
     if len(gains) < 2 or set(joints) - set(by_joint):
@@ -232,7 +232,7 @@ def _sized(finding: Finding) -> str:
     the most significant one. For a payload of unidentified mass, give the first moment."""
     if finding.moment:
         return f"{title(finding)} {', '.join(f'{name} {measured(q)}' for name, q in finding.moment.items())}"
-    count = effect_class(finding.effect).count
+    count = finding.cls.count
     sizes = list(finding.parameters.items())[: max(count, 1)]
     name, quantity = max(sizes, key=lambda size: abs(size[1].value) / size[1].std if size[1].std > 0.0 else np.inf)
     former = f" instead of {finding.was[name]:.4g}" if name in finding.was else ""

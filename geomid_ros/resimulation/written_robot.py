@@ -17,7 +17,7 @@ from geomid_ros.files.models.effects_file import read_sidecar
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of, values_of
+from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, joints_of
 from geomid_ros.model.effects.situation import place_named
 from geomid_ros.model.samples import SMOOTH_SIGN, Samples
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -65,8 +65,8 @@ class WrittenRobot:
         self._motion_effects: list[tuple[Effect, Place, Values]] = []
         self._sensor_effects: dict[str, list[tuple[SensorEffect, Values]]] = {}
         for entry in read_sidecar(files.effects):
-            values = values_of(entry)
-            effect = effect_class(entry.effect).from_values(values)
+            values = entry.values
+            effect = entry.cls.from_values(values)
             if isinstance(effect, SensorEffect):
                 self._sensor_effects.setdefault(entry.joint, []).append((effect, values))
             elif effect.place != "link":

@@ -12,6 +12,7 @@ from geomid_ros.files.shapes import SUFFIXES, ShapeReader, read_mesh
 from geomid_ros.model.collision import CollisionModel, ConvexShape, HalfSpace, Obstacle, Pair
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.urdf_tree import read_xml
+from geomid_ros.options import numbers_in
 from geomid_ros.session.options import Surroundings, texts
 from geomid_ros.types import FloatArray
 
@@ -104,10 +105,7 @@ def obstacles(text: str) -> list[Obstacle]:
 
 
 def _numbers(text: str, count: int, obstacle: str) -> np.ndarray:
-    try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError as error:
-        raise InputError(f"--avoid {obstacle}: expected {_FORMS}") from error
-    if len(numbers) != count or not np.all(np.isfinite(numbers)):
+    numbers = numbers_in(text)
+    if len(numbers) != count:
         raise InputError(f"--avoid {obstacle}: expected {count} finite numbers, as {_FORMS}")
-    return numbers
+    return np.array(numbers)

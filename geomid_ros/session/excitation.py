@@ -35,7 +35,6 @@ from geomid_ros.excitation.rivals import (
     discriminating_motion,
 )
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, typical_motions
-from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.gap_file import OpenFinding, read_open_findings
 from geomid_ros.files.models.posterior import posterior_path, read_posterior
@@ -43,7 +42,7 @@ from geomid_ros.files.parameter_file import read_joint_limits
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.collision import CollisionModel, Pair
-from geomid_ros.model.effects import OnLink, effect_class, values_of
+from geomid_ros.model.effects import OnLink, effect_class
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.session.collision_scene import collision_model, not_watched, without_touching
 from geomid_ros.session.configuration import Configuration
@@ -283,14 +282,13 @@ def rival_effects(feasibility: Feasibility, path: Path) -> DiscriminationCriteri
 
 def _ambiguity(model: MeasurementModel, finding: OpenFinding) -> Ambiguity:
     """The found effect, first of its variants the one with the constants that were found; and its rivals."""
-    found, values = _any(model, finding.effect, finding.joint, finding.link), values_of(finding)
+    found = _any(model, finding.effect, finding.joint, finding.link)
     if isinstance(found.place, OnLink):
-        coefficients = payload_parameters(values)
+        coefficients = finding.body
     else:
-        cls = effect_class(finding.effect)
-        chosen = cls.from_values(values)
+        chosen = finding.cls.from_values(finding.values)
         found = replace(found, variants=(chosen, *(variant for variant in found.variants if variant != chosen)))
-        coefficients = coefficients_of(cls, values, chosen.parts)
+        coefficients = coefficients_of(finding.cls, finding.values, chosen.parts)
     rivals = tuple(_any(model, rival.effect, rival.joint) for rival in finding.rivals)
     return Ambiguity(found, coefficients, rivals)
 

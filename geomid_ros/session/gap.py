@@ -134,7 +134,7 @@ def find_gap_in_samples(
             recordings.train,
             recordings.held_out,
             recordings.cutoff,
-            alike=session.alike_links,
+            alike=session.settings.alike,
             nominal=session.prior,
             deviations=deviations,
             previous=information,

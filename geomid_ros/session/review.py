@@ -149,11 +149,8 @@ def impossible_links(urdf: str, source: str, links: Iterable[LinkEstimate]) -> I
 
 def _is_outside(parameters: FloatArray | None, solid: Solid) -> bool:
     """True if a body ``(10,)`` has mass outside of a solid."""
-    if parameters is None:
-        return False
-    return (
-        verdict_on_shape(UrdfInertial(parameters, ""), solid, float(parameters[0]) / volume(solid.moments)) == OUTSIDE
-    )
+    own = UrdfInertial(parameters, "")
+    return verdict_on_shape(own, solid, own.mass / volume(solid.moments)) == OUTSIDE
 
 
 def _solid(link: Element, source: str) -> Solid | None:

@@ -26,7 +26,7 @@ from geomid_ros.files.models.posterior import POSTERIOR, population_document, re
 from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import with_absolute_files, with_effects, with_inertials
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
-from geomid_ros.model.alike_parts import AlikeParts, alike_parts, alike_sentences
+from geomid_ros.model.alike_parts import alike_parts, alike_sentences
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.payload_watch import WatchMemory
 from geomid_ros.session.configuration import Configuration
@@ -65,8 +65,8 @@ class Session(Setup):
         """
         super().__init__(urdf, configuration, source, loaded)
         self._readers = readers
-        self._settings = self._estimator_settings(configuration)
-        self.identifier = Identifier(self.model, self._settings, configuration.buffer, self._identified_prior)
+        self.settings = self._estimator_settings(configuration)
+        self.identifier = Identifier(self.model, self.settings, configuration.buffer, self._identified_prior)
         self.warm_start: WarmStart | None = None
         """Start of the next solve: the last estimate."""
         self.carried: WatchMemory | None = None
@@ -88,7 +88,7 @@ class Session(Setup):
         """Solve with another configuration of the same rows. If it does not fit, raises InputError without changes."""
         settings = self._estimator_settings(configuration)
         self.identifier.use(settings)
-        self.configuration, self._settings = configuration, settings
+        self.configuration, self.settings = configuration, settings
 
     def _estimator_settings(self, configuration: Configuration) -> EstimatorSettings:
         """Estimator settings with the population prior. Raises InputError if several priors are given, or none fits."""
@@ -105,14 +105,9 @@ class Session(Setup):
         return settings
 
     @property
-    def alike_links(self) -> tuple[AlikeParts, ...]:
-        """Links that are alike, if the prior is the URDF."""
-        return self._settings.alike
-
-    @property
     def notes(self) -> list[str]:
         """Remarks in sentences that do not make results doubtful."""
-        return [*self.review.notes, *alike_sentences(self.alike_links)]
+        return [*self.review.notes, *alike_sentences(self.settings.alike)]
 
     def rms(
         self, batches: Iterable[Samples], parameters: FloatArray, added: Callable[[Samples], FloatArray] | None = None
@@ -161,8 +156,8 @@ class Session(Setup):
     @property
     def _solving(self) -> str:
         """Checksum of everything but the rows that a solve depends on."""
-        prior, population = self.prior, self._settings.population
-        text = f"{replace(self._settings, population=None)} {prior.tolist() if prior is not None else None}"
+        prior, population = self.prior, self.settings.population
+        text = f"{replace(self.settings, population=None)} {prior.tolist() if prior is not None else None}"
         if population is not None:  # its arrays would be abbreviated as text
             text += json.dumps(population_document(population))
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.files.models.effects_file import tilted_gravity
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import PDController
@@ -88,7 +89,7 @@ class Setup:
             floating_base=configuration.floating_base,
             cuts=[sensor.frame for sensor in self._sensors if sensor.role == "mounted"],
             locked_joints=self.locked_joints,
-            gravity=self.loaded.tilted_gravity(configuration.gravity),
+            gravity=tilted_gravity(configuration.gravity, self.loaded.effects),
             source=source,
         )
 
@@ -145,7 +146,7 @@ class Setup:
             "effort_gain": signals.effort_gain,
             "effort_delay": signals.effort_delay,
             "wrench_offsets": [list(sensor.offset) for sensor in self.model.sensors],
-            "gravity": loaded.tilted_gravity(self.configuration.gravity).tolist(),
+            "gravity": self.robot.gravity.tolist(),
             "effects": [[c.effect.name, c.place_name, vars(c.effect)] for c in self.model.coefficients],
         }
         urdf = hashlib.sha256(self.urdf.encode(errors="replace")).hexdigest()

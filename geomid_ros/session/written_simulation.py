@@ -50,7 +50,7 @@ def write_found(folder: Path, session: Session, result: GapResult, reader: str =
     """
     refitted = session.loaded.refitted(session.model, result.coefficients, result.beside)
     noise = {"floor": by_channel(result.channels, result.corrected_floor), "cutoff": result.cutoff}
-    effects = [*refitted.effects_without_payloads, *result.ordinary, *result.sure]
+    effects = [*(e for e in refitted.effects if not e.is_payload), *result.ordinary, *result.sure]
     before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
     after = dict(zip(session.model.body_names, result.inertias, strict=True))
     fitted = {name: _changed(model, before, after, result) for name, model in session.loaded.fitted_models.items()}

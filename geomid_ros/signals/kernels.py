@@ -77,10 +77,8 @@ def filtered(
     half = kernels.shape[1] // 2
     extended = np.pad(values, ((half, half), (0, 0)), mode="edge")
     if at is not None:
-        windows, pieces = (
-            sliding_window_view(extended, 2 * half + 1, axis=0),
-            range(0, max(len(at), 1), SAMPLES_PER_PIECE),
-        )
+        windows = sliding_window_view(extended, 2 * half + 1, axis=0)
+        pieces = range(0, max(len(at), 1), SAMPLES_PER_PIECE)
         results = np.concatenate([windows[at[begin : begin + SAMPLES_PER_PIECE]] @ kernels.T for begin in pieces])
         value, first, second = np.moveaxis(results, 2, 0)
         return value, first, second
@@ -135,8 +133,7 @@ class GridValues:
 
     def __init__(self) -> None:
         self.first = 0
-        self.values = self._space = np.zeros((0, 0))  # the values are part of a space with room for others
-        self._end = 0  # of the values, in the space
+        self.values = np.zeros((0, 0))
 
     @property
     def end(self) -> int:
@@ -147,12 +144,7 @@ class GridValues:
         """Append ``values (N, ...)`` from grid point ``start`` on: the :attr:`end`, unless there are no values yet."""
         if not len(self.values):
             self.first, self.values = start, values[:0]
-        kept, end = len(self.values), self._end + len(values)
-        if not kept or end > len(self._space):  # room for as many as are kept: a value is copied once on the average
-            space, end = np.empty((2 * kept + len(values), *values.shape[1:])), kept + len(values)
-            space[:kept], self._space = self.values, space
-        self._space[end - len(values) : end] = values
-        self.values, self._end = self._space[end - len(values) - kept : end], end
+        self.values = np.concatenate([self.values, values])
 
     def correlated(self, instants: range, kernels: FloatArray, columns: int | None = None) -> FloatArray:
         """Correlate with ``kernels (kernels, 2 half + 1)`` around each grid point.

@@ -15,7 +15,7 @@ from itertools import repeat
 
 import numpy as np
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import PDController
@@ -24,15 +24,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import SILENT, JointReader, JointStateMerger, LockedJoints, Part
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.message_batch import (
-    NO_STAMP,
-    NOT_VALID,
-    MessageBatch,
-    commands,
-    imu_readings,
-    poses,
-    wrenches,
-)
+from geomid_ros.signals.message_batch import NO_STAMP, NOT_VALID, MessageBatch, commands, imu_readings, poses, wrenches
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages, Block, Message
 from geomid_ros.signals.moving_base import Stance
 from geomid_ros.signals.reorder_buffer import Gate, ReorderBuffer, Source
@@ -238,8 +230,7 @@ class SignalPipeline:
             return poses(block)
         if block.topic == IMU:
             return imu_readings(block)
-        if block.topic not in self._sensors:
-            raise unknown_name("wrench topic", block.topic, self._sensors)
+        check_name("wrench topic", block.topic, self._sensors)
         return wrenches(block, self._sensors[block.topic])
 
     def _use(self, source: Source, arrived: MessageBatch) -> None:

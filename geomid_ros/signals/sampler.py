@@ -70,7 +70,7 @@ class Sampler:
         self._base = next((topic for topic in topics if topic in (ODOM, IMU)), None)
         self._mount, self._controller = mount, controller
         self._max_gap = settings.max_gap_ns
-        self._effort_delay = settings.effort_delay_ns
+        self._effort_delay = round(1e9 * settings.effort_delay)
         self._entries = Entries(effect_columns, len(continuous))
         self._ledger = ledger
         self._velocities = VelocityCheck(len(continuous))

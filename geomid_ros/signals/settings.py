@@ -9,7 +9,7 @@ from math import tau
 
 import numpy as np
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.types import FloatArray
 
 # Physical limits.
@@ -77,16 +77,10 @@ class SignalSettings:
         """``max_gap`` in ns, the unit of stamps."""
         return round(self.max_gap * 1e9)
 
-    @property
-    def effort_delay_ns(self) -> int:
-        """``effort_delay`` in ns."""
-        return round(self.effort_delay * 1e9)
-
     def effort_gains(self, joints: Sequence[str]) -> FloatArray:
         """Return the factor of each joint's efforts ``(joints,)``. Raises InputError for a gain of an unknown joint."""
         if not isinstance(self.effort_gain, dict):
             return np.full(len(joints), float(self.effort_gain))
         for name in self.effort_gain:
-            if name not in joints:
-                raise unknown_name("joint with an effort gain", name, joints)
+            check_name("joint with an effort gain", name, joints)
         return np.array([self.effort_gain.get(name, 1.0) for name in joints])

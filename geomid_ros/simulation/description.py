@@ -15,7 +15,7 @@ import numpy as np
 from defusedxml import ElementTree
 from defusedxml.common import DefusedXmlException
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, refusing
 from geomid_ros.types import FloatArray, frozen
 
 _LARGEST = 5_000_000
@@ -132,10 +132,10 @@ def _edge(joint: Element) -> tuple[str, Edge]:
 def _parse(text: str) -> Element:
     if len(text) > _LARGEST:
         raise InputError(f"the URDF has {len(text)} characters; at most {_LARGEST} are read.")
-    try:
+    with refusing(
+        "the URDF has to be well-formed XML without a document type", ElementTree.ParseError, DefusedXmlException
+    ):
         robot: Element = ElementTree.fromstring(text, forbid_dtd=True)
-    except (ElementTree.ParseError, DefusedXmlException) as error:
-        raise InputError(f"the URDF has to be well-formed XML without a document type: {error}.") from error
     if robot.tag != "robot":
         raise InputError(f"expected a URDF, whose root element is <robot>; found <{robot.tag}>.")
     return robot

@@ -10,7 +10,7 @@ from enum import IntEnum
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.options import Options, option
+from geomid_ros.options import Options, numbers_in, option
 
 LONGEST_STEP = 1e-3
 """[s] Longest integration step: dry friction stops a joint within a few milliseconds."""
@@ -170,13 +170,10 @@ def parse_hidden(text: str) -> Hidden:
 
 
 def _number(word: str, text: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"'{text}': '{word}' is not a number; write EFFECT:JOINT=1.5 or EFFECT:JOINT=name=1,name=2")
-    return value
+    match numbers_in(word):
+        case [value]:
+            return value
+    raise InputError(f"'{text}': '{word}' is not a number; write EFFECT:JOINT=1.5 or EFFECT:JOINT=name=1,name=2")
 
 
 RandomStream = IntEnum("RandomStream", "INERTIA EFFECTS ORDER MOTION NOISE HIDDEN REALISTIC", start=0)

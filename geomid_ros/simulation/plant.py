@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import refusing, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, set_inertia
 from geomid_ros.simulation.effects.physics import (
     FORCES,
@@ -28,10 +28,8 @@ from geomid_ros.types import FloatArray, IntArray
 
 def load_mujoco() -> Any:
     """Import MuJoCo on first use. Raises InputError if it does not import."""
-    try:
+    with refusing("simulating needs MuJoCo, which does not import", ImportError, advice="pip install mujoco"):
         return importlib.import_module("mujoco")
-    except ImportError as error:
-        raise InputError(f"simulating needs MuJoCo, which does not import ({error}): pip install mujoco") from error
 
 
 _WINDINGS = 10  # iterations; each leaves a few per cent of the previous error of the gears' deflection at rest
@@ -217,13 +215,9 @@ def compile_model(
         return spec.compile()
 
 
-@contextmanager
-def buildable() -> Iterator[None]:
-    """Raise InputError if MuJoCo refuses to build a robot."""
-    try:
-        yield
-    except ValueError as error:
-        raise InputError(f"MuJoCo cannot build this robot: {error}. Correct its URDF.") from error
+def buildable() -> AbstractContextManager[None]:
+    """Raise InputError if MuJoCo refuses to build a robot in the block."""
+    return refusing("MuJoCo cannot build this robot", ValueError, advice="correct its URDF")
 
 
 def rigid_bodies(mujoco: Any, description: Description, bodies: Iterable[LinkInertia]) -> Any:

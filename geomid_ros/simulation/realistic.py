@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, perturbed, read_description
 from geomid_ros.simulation.effects.effect_sizes import chosen_effects
 from geomid_ros.simulation.effects.physics import FRICTION, TrueEffect, noiseless_measurement
@@ -338,8 +338,7 @@ def _with_one_delay(effects: Sequence[TrueEffect]) -> tuple[TrueEffect, ...]:
 
 def _changed_mass(request: Hidden, robot: Description) -> TrueEffect:
     names = [body.name for body in robot.inertias if robot.moved_by(body.name)]
-    if request.place not in names:
-        raise unknown_name("moving link with a mass", request.place, names)
+    check_name("moving link with a mass", request.place, names)
     factor = dict(request.parameters).get("factor", request.value)
     if factor is None or factor <= 0.0:
         raise InputError(f"{LINK_MASS} needs a factor above 0, as in {LINK_MASS}:{request.place}=1.3.")

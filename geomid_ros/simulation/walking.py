@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.options import Options, option
 from geomid_ros.simulation.bag import write_walk
 from geomid_ros.simulation.description import (
@@ -128,8 +128,7 @@ class WalkOptions(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         for gait in self.gaits:
-            if gait not in GAITS:
-                raise unknown_name("gait", gait, GAITS)
+            check_name("gait", gait, GAITS)
         shortest = _SHORTEST * len(self.gaits)
         if not shortest <= self.duration < math.inf:
             raise InputError(f"duration is {self.duration:g}, expected {shortest:g} or more")
@@ -205,8 +204,7 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
     """Simulate the true motion. Raises InputError if the robot falls, or lacks a link for a foot or the IMU."""
     mujoco = load_mujoco()
     for link in (*options.feet, options.imu):
-        if link not in robot.links:
-            raise unknown_name("link", link, robot.links)
+        check_name("link", link, robot.links)
     if len(robot.joints) != len(_STANCE) * len(options.feet):
         raise InputError(
             f"the robot has {len(robot.joints)} moving joints and {len(options.feet)} feet; a robot that walks has "

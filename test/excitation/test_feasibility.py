@@ -130,6 +130,6 @@ def test_no_distance_changes_faster_than_its_bound() -> None:
     moved = position + random.uniform(-0.05, 0.05, position.shape)
     change = np.abs(collision.distances(moved) - collision.distances(position))
     apart = np.minimum(collision.distances(moved), collision.distances(position)) > 0.0
-    bound = np.abs(moved - position) @ (collision.reach @ collision.coupling_sizes).T
+    bound = np.abs(moved - position) @ (collision.reach @ np.abs(collision.robot.coupling)).T
     assert np.all(change[apart] <= bound[apart] + 1e-6)
     assert np.max(change[apart] / bound[apart]) > 0.3  # it is not just large

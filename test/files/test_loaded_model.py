@@ -17,7 +17,7 @@ from signals.sent import JointMessage, WrenchMessage
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.effects_file import payload_parameters, tilted_gravity
+from geomid_ros.files.models.effects_file import tilted_gravity
 from geomid_ros.files.models.estimate_file import estimate_document
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.urdf import read_urdf
@@ -87,7 +87,7 @@ def test_gravity_and_payload_are_predicted(tmp_path: Path) -> None:
     straight = Robot(ARM)
     reference = Reference(ARM, gravity=tilted_gravity(GRAVITY, [tilt]).tolist())
     inertias = {body.name: body.parameters for body in straight.bodies}
-    inertias["link3"] = inertias["link3"] + payload_parameters(PAYLOAD)
+    inertias["link3"] = inertias["link3"] + effect("payload", "link3", **PAYLOAD).body
     reference.set_inertias(inertias)
     _, expected = reference.inverse_dynamics(samples, straight.joint_names)
     np.testing.assert_allclose(found, expected, atol=EXACT * np.abs(expected).max())

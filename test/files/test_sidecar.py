@@ -12,7 +12,7 @@ import yaml
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.effects_file import combined, read_sidecar, write_sidecar
-from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity, values_of
+from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
 
 from .effects import PAYLOAD, effect
 from .estimates import edited
@@ -123,5 +123,5 @@ def test_effects_at_one_place_are_combined() -> None:
     dry, gain, spring, _, offset = found
     assert dry.parameters["level"] == Quantity(4.0, pytest.approx(np.hypot(0.1, 0.3)), "N m")
     assert gain.parameters["gain"].value == pytest.approx(0.99)
-    assert values_of(spring) == {"stiffness": 2.0, "equilibrium": 0.1}
-    assert values_of(offset) == {"fx": 2.0, "fy": 0.0, "fz": 0.0, "tx": 0.0, "ty": 0.0, "tz": 2.0}
+    assert spring.values == {"stiffness": 2.0, "equilibrium": 0.1}
+    assert offset.values == {"fx": 2.0, "fy": 0.0, "fz": 0.0, "tx": 0.0, "ty": 0.0, "tz": 2.0}

@@ -26,7 +26,6 @@ from geomid_ros.model.effects import (
     identifiable,
     identified_effect,
     register,
-    values_of,
 )
 from geomid_ros.model.effects.friction import ViscousFriction
 
@@ -95,7 +94,7 @@ def test_what_was_identified_is_known_again(effect: IdentifiedEffect) -> None:
             assert found[form.name] == Quantity(0.7, 0.1, form.units[0])
             known = KnownEffect(trial.name, "j", "", found)
             assert {other.name for other in trial.parameters if not other.optional} <= found.keys()
-            own = trial.coefficients(values_of(known))
+            own = trial.coefficients(known.values)
             assert own[trial][index] == 0.7
             assert all(part == trial for part in own)
 

@@ -13,7 +13,6 @@ from files.effects import PAYLOAD, effect
 from model.robots import with_values
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.gap.result import GapResult
@@ -158,7 +157,7 @@ def test_a_payload_shows_in_joints_and_wrench(tmp_path: Path) -> None:
     """Recorded with it: here the URDF is the truth, and the one without payload is wrong."""
     loaded = Robot(with_effects(ARM, [effect("payload", "tool", **PAYLOAD)]), cuts=["wrist_ft"])
     right, wrong = files(tmp_path, "right"), files(tmp_path, "wrong", robot=loaded)
-    assert payload_parameters(PAYLOAD)[0] == 1.5
+    assert effect("payload", "tool", **PAYLOAD).body[0] == 1.5
     found = simulated(wrong, right, recording())
     assert min(found.before[name] for name in ("joint2", "joint3", "wrench/fz", "wrench/tx")) > 5.0
     assert max(found.after.values()) < 1.0 + SCATTER

@@ -14,7 +14,6 @@ from files.effects import PAYLOAD, effect
 from files.gaps import gap_result
 from files.recordings import BAGS
 
-from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import WrittenModel, fitted_model_of, with_shifted_parameters, write_model
@@ -101,7 +100,7 @@ def test_a_model_with_a_payload_is_that_of_its_own_description_and_of_the_given_
     urdf = read_urdf(tmp_path / "identified.urdf" if written else BAGS / "arm3.urdf")
     session = session_of(tmp_path, urdf)
     nominal = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
-    for link, own in (BODIES | {name: BODIES[name] + payload_parameters(PAYLOAD)}).items():
+    for link, own in (BODIES | {name: BODIES[name] + effect("payload", name, **PAYLOAD).body}).items():
         np.testing.assert_allclose(nominal[link], own, rtol=1e-12, err_msg=link)
 
 
@@ -109,7 +108,7 @@ def test_a_payload_of_a_file_is_in_the_link_that_carries_it() -> None:
     name = next(iter(BODIES))
     carried = WrittenModel(BODIES, (effect("payload", name, **PAYLOAD), effect("effort_offset", "joint1", offset=0.1)))
     merged = carried.with_payloads_in_links
-    np.testing.assert_array_equal(merged.inertias[name], BODIES[name] + payload_parameters(PAYLOAD))
+    np.testing.assert_array_equal(merged.inertias[name], BODIES[name] + effect("payload", name, **PAYLOAD).body)
     assert merged.effects == carried.effects[1:]
 
 

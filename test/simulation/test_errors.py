@@ -46,7 +46,7 @@ def test_impossible_option_is_named(option: str, value: Any) -> None:
         ({"hide": (Hidden("magic", "joint1", 1.0),)}, "unknown effect 'magic'.*coulomb_friction"),
         ({"hide": (Hidden("payload", "base_link"),)}, "unknown joint or moving link 'base_link'.*joint1.*tool"),
         ({"hide": (Hidden("spring", "joint1", None, {"hardness": 1.0}),)}, "unknown parameter of spring 'hardness'"),
-        ({"robot": "nowhere.urdf"}, "cannot read the URDF nowhere.urdf"),
+        ({"robot": "nowhere.urdf"}, "nowhere.urdf: the URDF cannot be read"),
     ],
 )
 def test_unknown_names_are_answered_with_the_known(changes: dict[str, Any], message: str, tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from benchmarks.fuzz.mutations import changed_text
 from benchmarks.fuzz.target import require
 from benchmarks.fuzz.targets.model import changed_document, effect_entries
 from geomid_ros.files.models.effects_file import combined, read_sidecar, write_sidecar
-from geomid_ros.model.effects import values_of
 
 _SNIPPETS = ("*a", "&a", "!!float x", "[", "{", "\t", "? ", "- ", ": ", "\x00", "1e999", ".inf", "~")
 
@@ -41,6 +40,6 @@ class EffectsTarget:
         self._path.write_bytes(text.encode(errors="surrogatepass"))
         effects = read_sidecar(self._path)
         write_sidecar(self._again, "arm3", effects)
-        before, after = ([values_of(effect) for effect in each] for each in (effects, read_sidecar(self._again)))
+        before, after = ([effect.values for effect in each] for each in (effects, read_sidecar(self._again)))
         require(before == after, f"{before} has become {after}")
         combined(effects)

@@ -16,7 +16,7 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, Self
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, refusing
 from geomid_ros.files.bags.database import Database
 from geomid_ros.files.bags.mcap import McapFile
 from geomid_ros.files.bags.storage import METHODS, RawMessage, Storage, decompress_file, decompress_message
@@ -46,13 +46,11 @@ class Bag:
         self.path = path
         self._storages: list[Storage] = []
         with ExitStack() as stack:
-            try:
+            with refusing(f"{path}: cannot be read as a rosbag2 recording", OSError):
                 files = _bag_files(path, stack)
                 for file in files.paths:
                     self._storages.append(_FORMATS[files.suffix](file))
                     stack.callback(self._storages[-1].close)
-            except OSError as error:
-                raise InputError(f"{path}: cannot be read as a rosbag2 recording ({error})") from error
             self._packed = files.packed
             self._storages.sort(key=lambda storage: storage.start or 0)  # by time, as they may be listed in any order
             cut = [storage.truncation for storage in self._storages if storage.truncation]
@@ -154,10 +152,8 @@ class Bag:
                 yield self._unpacked(message, self._packed) if self._packed else message
 
     def _unpacked(self, message: RawMessage, method: str) -> RawMessage:
-        try:
+        with refusing(f"{self._where(message.topic, message.time)} cannot be unpacked", ValueError):
             return message._replace(data=decompress_message(message.data, method))
-        except ValueError as error:
-            raise InputError(f"{self._where(message.topic, message.time)} cannot be unpacked, {error}") from error
 
 
 def bags_in(path: Path) -> list[Path]:
@@ -165,13 +161,11 @@ def bags_in(path: Path) -> list[Path]:
 
     Raises InputError if the path cannot be accessed.
     """
-    try:
+    with refusing(f"{path}: cannot be read as a rosbag2 recording", OSError):
         if not path.is_dir() or _is_bag(path):
             return [path]
         inside = [inner for inner in path.iterdir() if os.access(inner, os.R_OK | os.X_OK) and inner.is_dir()]
         return sorted(inner for inner in inside if _is_bag(inner)) or [path]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read as a rosbag2 recording ({error})") from error
 
 
 def _is_bag(folder: Path) -> bool:
@@ -239,10 +233,8 @@ def _in_folder(path: Path, stack: ExitStack) -> _BagFiles:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="geomid_bag_")))
         for index, file in enumerate(paths):
             paths[index] = folder / f"{index}-{file.stem}"
-            try:
+            with refusing(f"{file}: cannot be read as a rosbag2 recording", OSError, ValueError):
                 decompress_file(file, paths[index], method)
-            except (OSError, ValueError) as error:
-                raise InputError(f"{file}: cannot be read as a rosbag2 recording: {error}") from error
     return _BagFiles(tuple(paths), suffix, packed=method if mode == "message" else "")
 
 

@@ -19,7 +19,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, refusing
 from geomid_ros.files.bags.storage import (
     PIECE,
     FaultError,
@@ -108,13 +108,11 @@ class McapFile(Storage):
 
     def _read(self, span: _RecordSpan) -> Iterator[tuple[int, int, memoryview]]:
         """Yield channel, time and bytes of each message in a span that was examined before."""
-        try:
+        with refusing(f"{self._path}: has changed since it was opened", FaultError, OSError, ValueError, struct.error):
             for kind, record in self._contents(span.begin, span.end, span.chunk):
                 if kind == _Kind.MESSAGE:
                     channel, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
                     yield channel, time, record[_MESSAGE_HEAD.size :]
-        except (FaultError, OSError, ValueError, struct.error) as error:
-            raise InputError(f"{self._path}: has changed since it was opened ({error})") from error
 
     def _examine(self) -> None:
         try:
@@ -165,7 +163,8 @@ class McapFile(Storage):
                 if kind & _PRIVATE or length > MOST_BYTES:
                     raise FaultError(f"a record of {length} bytes, more than there are", begin)
                 if kind == _Kind.CHUNK:
-                    self._add_truncated(begin)
+                    with contextlib.suppress(FaultError):  # it is kept as far as it can be read
+                        self._add(self._examined(begin, self._size, True))
                 available = self._size - begin - _RECORD.size
                 raise TruncatedFileError(f"a record of {length} bytes, of which {available} are there", begin)
             yield kind, begin, end
@@ -189,11 +188,6 @@ class McapFile(Storage):
         content, checked, truncated = _chunk_data(data[_RECORD.size :], end == self._size)
         self.has_checksums &= checked
         return _records(memoryview(content), truncated)
-
-    def _add_truncated(self, begin: int) -> None:
-        """Append the last chunk of a file that is truncated there, as far as it can be read."""
-        with contextlib.suppress(FaultError):
-            self._add(self._examined(begin, self._size, True))
 
     def _examined(self, begin: int, end: int, chunk: bool) -> _RecordSpan:
         first, last, counted = math.inf, self._last, Counter[int]()

@@ -32,20 +32,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.files.schema import FORMAT, check, check_form, from_document, to_document
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import (
-    EFFECTS,
-    IdentifiedEffect,
-    KnownEffect,
-    ParameterForm,
-    Quantity,
-    effect_class,
-    values_of,
-)
+from geomid_ros.model.effects import EFFECTS, KnownEffect, ParameterForm, Quantity, effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
@@ -71,17 +63,6 @@ def is_payload_name(link: str, carrier: str) -> bool:
     return link.rstrip("_") == payload_name(carrier)
 
 
-def is_payload(effect: KnownEffect) -> bool:
-    """True if it is a payload of a link."""
-    return effect_class(effect.effect).place == "link"
-
-
-def is_coefficient(effect: KnownEffect) -> bool:
-    """True if it is a single number at a joint that is identified together with the inertias."""
-    cls = effect_class(effect.effect)
-    return issubclass(cls, IdentifiedEffect) and cls.is_one_number()
-
-
 def by_parameter(effects: Iterable[KnownEffect]) -> dict[tuple[str, str, str], Quantity]:
     """Quantities of effects, by effect, joint and parameter."""
     return {
@@ -103,7 +84,7 @@ def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, 
     a URDF, ``joint`` or ``tendon`` in an MJCF, ``actuator`` in a URDF for Drake, ``gazebo`` in one for Gazebo."""
     attributes: dict[str, dict[str, float]] = {}
     for effect in effects:
-        forms, values = effect_class(effect.effect).parameters, values_of(effect)
+        forms, values = effect.cls.parameters, effect.values
         places = {(place, form.name) for form in forms for place in (form.urdf, form.mjcf, form.drake, form.gazebo)}
         for place, name in sorted(places):
             parent, _, attribute = place.partition("/")
@@ -133,13 +114,13 @@ def unrepresentable(effects: Iterable[KnownEffect], files: Iterable[str]) -> lis
     """
     files, pairs = tuple(files), list[tuple[str, str]]()
     for effect in effects:
-        cls = effect_class(effect.effect)
+        cls = effect.cls
         # No format has a constant of default value, and no simulator needs it.
         forms = [form for form in cls.parameters if form.name in {*effect.parameters} - {cls.default_constant}]
         missing = [form.name for form in forms if not form.said_by(files)]
         if missing and not cls.is_sensor_error:
             phrase = effect_name(effect.effect) + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
-            pairs.append((phrase, effect.link or effect.joint))
+            pairs.append((phrase, effect.location))
     return with_places(pairs)
 
 
@@ -162,15 +143,10 @@ def with_places(pairs: Iterable[tuple[str, str]]) -> list[str]:
     ]
 
 
-def payload_parameters(payload: Mapping[str, float]) -> FloatArray:
-    """Inertial parameters ``(10,)`` of a payload about its link's origin, from its values."""
-    return pseudo_inertia.parameters_of(np.array([payload[name] for name in QUANTITY_NAMES]))
-
-
 def tilted_gravity(gravity: FloatArray, effects: Iterable[KnownEffect]) -> FloatArray:
     """Gravity ``(3,)`` in the frame of a base that the effects tilt, from that of an upright base."""
     for effect in effects:
-        gravity = effect_class(effect.effect).tilted_gravity(gravity, values_of(effect))
+        gravity = effect.cls.tilted_gravity(gravity, effect.values)
     return gravity
 
 
@@ -178,10 +154,10 @@ def combined(effects: Iterable[KnownEffect]) -> list[KnownEffect]:
     """Merge effects of the same kind at the same place; see :meth:`~geomid_ros.model.effects.Effect.combined`."""
     merged: dict[tuple[str, str], KnownEffect] = {}
     for effect in effects:
-        key = effect.effect, effect.link or effect.joint
+        key = effect.effect, effect.location
         parameters = effect.parameters
         if key in merged:
-            parameters = effect_class(effect.effect).combined(merged[key].parameters, parameters)
+            parameters = effect.cls.combined(merged[key].parameters, parameters)
         merged[key] = KnownEffect(effect.effect, effect.joint, effect.link, parameters)
     return list(merged.values())
 
@@ -197,16 +173,16 @@ def updated_effects(estimated: Sequence[KnownEffect], known: Sequence[KnownEffec
     """
     remaining = {(effect.effect, effect.joint): effect for effect in estimated}
     order = list(EFFECTS)
-    others = [effect for effect in known if not is_payload(effect) and not is_coefficient(effect)]
+    others = [effect for effect in known if not effect.is_payload and not effect.is_coefficient]
     refined = [_refined(effect, remaining) for effect in sorted(others, key=lambda effect: order.index(effect.effect))]
-    of_place = [effect for effect in remaining.values() if not is_coefficient(effect)]
-    return [*(effect for effect in remaining.values() if is_coefficient(effect)), *combined([*refined, *of_place])]
+    of_place = [effect for effect in remaining.values() if not effect.is_coefficient]
+    return [*(effect for effect in remaining.values() if effect.is_coefficient), *combined([*refined, *of_place])]
 
 
 def _refined(effect: KnownEffect, remaining: dict[tuple[str, str], KnownEffect]) -> KnownEffect:
     """Update an effect by its parts, which are removed from the ``remaining`` estimated effects."""
     estimated = {name: other.parameters for (name, joint), other in remaining.items() if joint == effect.joint}
-    parameters, others = effect_class(effect.effect).updated(effect.parameters, estimated)
+    parameters, others = effect.cls.updated(effect.parameters, estimated)
     for name in estimated:
         del remaining[name, effect.joint]
     remaining |= {(name, effect.joint): KnownEffect(name, effect.joint, "", values) for name, values in others.items()}
@@ -216,16 +192,14 @@ def _refined(effect: KnownEffect, remaining: dict[tuple[str, str], KnownEffect])
 @check.register
 def _check_effect(effect: KnownEffect, where: str) -> None:
     """Refuse an effect of a file that is invalid. Raises InputError beginning with ``where``."""
-    if effect.effect not in EFFECTS:
-        raise InputError(f"{where}: {unknown_name('effect', effect.effect, EFFECTS)}")
+    check_name("effect", effect.effect, EFFECTS, where)
     cls, where = EFFECTS[effect.effect], f"{where} ({effect.effect})"
     key = "link" if cls.place == "link" else "joint"
     if cls.place in _PLACES and not getattr(effect, key):
         raise InputError(f"{where}: {key} is not given, expected {_PLACES[cls.place]}")
     forms = {form.name: form for form in cls.parameters}
     for name, quantity in effect.parameters.items():
-        if name not in forms:
-            raise InputError(f"{where}: parameters: {unknown_name('parameter', name, forms)}")
+        check_name("parameter", name, forms, f"{where}: parameters")
         check_quantity(quantity, forms[name], f"{where}: parameters: {name}")
     for name, form in forms.items():
         if name not in effect.parameters and not form.optional:
@@ -247,7 +221,7 @@ def check_quantity(size: Quantity, form: ParameterForm, where: str) -> None:
 def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
     """Entry in ``estimate.json`` of an effect of one coefficient at a joint; a default constant is left out."""
     quantity, *_ = effect.parameters.values()
-    name = effect_class(effect.effect).default_constant
+    name = effect.cls.default_constant
     constants = {name: effect.parameters[name].value} if name in effect.parameters else {}
     return {"name": effect.effect, "joint": effect.joint, **to_document(quantity), **constants}
 
@@ -259,7 +233,7 @@ def effects_entries(
     estimate with the ``shares`` that are from data, by effect and place."""
     kinds: dict[str, Any] = {"effects": [], "added": []}
     for effect in effects:
-        single, place = is_coefficient(effect), (effect.effect, effect.joint)
+        single, place = effect.is_coefficient, (effect.effect, effect.joint)
         share = {"from_data": shares.get(place)} if shares is not None and (single or place in shares) else {}
         entry = coefficient_entry(effect) if single else to_document(effect)
         kinds["effects" if single else "added"].append(entry | share)
@@ -280,8 +254,8 @@ def write_sidecar(
     text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
     names = dict.fromkeys(entry["effect"] for entry in entries)
     meanings = "".join(f"#   {name}: {effect_class(name).meaning}\n" for name in names)
-    own = {(effect.effect, effect.link or effect.joint) for effect in effects}
-    places = [(effect.effect, effect.link or effect.joint) for effect in estimated]
+    own = {(effect.effect, effect.location) for effect in effects}
+    places = [(effect.effect, effect.location) for effect in estimated]
     lacking = with_places((effect_name(name), place) for name, place in places if (name, place) not in own)
     comment = textwrap.fill(f"{_LACKING} {', '.join(lacking)}.", 120, initial_indent="# ", subsequent_indent="# ")
     write_text(path, _HEADER + meanings + (comment + "\n" if lacking else "") + text)
@@ -291,7 +265,7 @@ _LACKING = "Fitted without these effects of the estimate, which estimate.json ha
 
 
 def _entry(effect: KnownEffect, alone: KnownEffect) -> dict[str, Any]:
-    forms = [form for form in effect_class(effect.effect).parameters if form.name in effect.parameters]
+    forms = [form for form in effect.cls.parameters if form.name in effect.parameters]
     other = {n: float(q.value) for n, q in alone.parameters.items() if q.value != effect.parameters[n].value}
     return {
         **{key: item for key, item in to_document(effect).items() if item},
@@ -306,7 +280,7 @@ def read_sidecar(path: Path) -> tuple[KnownEffect, ...]:
     document = read_yaml(path, "file of effects")
     check_form(document, ("effects",), f"{path}:", "file of effects")
     effects = from_document(tuple[KnownEffect, ...], document["effects"], f"{path}: effects")
-    for (name, place), count in Counter((e.effect, e.link or e.joint) for e in effects).items():
+    for (name, place), count in Counter((e.effect, e.location) for e in effects).items():
         if count > 1:
             raise InputError(f"{path}: {name} is listed twice at '{place}'")
     return effects

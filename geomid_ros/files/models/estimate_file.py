@@ -13,7 +13,7 @@ import numpy as np
 
 from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.verdict import NOT_CONVERGED, STATUS, USABLE, Verdict
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name, refusing, unknown_name
 from geomid_ros.estimation.comparison import RobotValues
 from geomid_ros.estimation.estimate import (
     FINEST,
@@ -238,8 +238,7 @@ class EstimateFile:
         if "verdict" not in self.document:
             word = USABLE if self.converged else NOT_CONVERGED
             return Verdict(word=word, reasons=() if self.converged else (self.reason,))
-        if self.verdict.result not in STATUS:
-            raise InputError(f"{self.source}: {unknown_name('verdict', self.verdict.result, STATUS)}")
+        check_name("verdict", self.verdict.result, STATUS, self.source)
         return Verdict(word=self.verdict.result, reasons=self.verdict.reasons)
 
     @property
@@ -301,23 +300,19 @@ class EstimateFile:
         if self.information is None:
             return None
         size = 10 * len(self.links)
-        try:
+        information = f"{self.source}: the information on {len(self.links)} links"
+        with refusing(f"{information} cannot be read", ValueError, advice=_WITHOUT_INFORMATION):
             rows = triangle_from_base64(self.information.rows, _PACKED, size)
             residuals = from_base64(self.information.residuals, _PACKED, size)
-        except ValueError as error:
-            raise self._information_error(f"on {len(self.links)} links cannot be read ({error})") from error
         if list(self.information.links) != list(self.inertias):
-            raise self._information_error("is on other links than those listed, or in another order")
+            raise InputError(f"{information} is on other links, or in another order; {_WITHOUT_INFORMATION}")
         manifold = ParameterManifold(len(self.links), 0, np.zeros(0))
         with np.errstate(all="ignore"):  # for extreme bodies; results that are not numbers are refused
             whitened = manifold.whiten(manifold.point(np.concatenate([*self.inertias.values()])), rows)
         # The rows are rounded to seven digits.
         if not np.all(np.abs(whitened) < 2.0 * FINEST) or not np.all(np.isfinite(residuals)):
-            raise self._information_error("on the links is more precise than any measurement")
+            raise InputError(f"{information} is more precise than any measurement; {_WITHOUT_INFORMATION}")
         return LinksInformation(rows, residuals)
-
-    def _information_error(self, why: str) -> InputError:
-        return InputError(f"{self.source}: the information {why}; {_WITHOUT_INFORMATION}")
 
     @property
     def link_estimates(self) -> list[LinkEstimate]:

@@ -17,26 +17,11 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.posterior import Posterior
-from geomid_ros.files.models.effects_file import (
-    by_parameter,
-    combined,
-    is_payload,
-    is_payload_name,
-    tilted_gravity,
-    updated_effects,
-)
+from geomid_ros.files.models.effects_file import by_parameter, combined, is_payload_name, updated_effects
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.written_model import WrittenModel, fitted_model_of
 from geomid_ros.model.channels import AXES, WrenchSensor
-from geomid_ros.model.effects import (
-    Effect,
-    IdentifiedEffect,
-    KnownEffect,
-    LoadEffect,
-    SituationEffect,
-    effect_class,
-    values_of,
-)
+from geomid_ros.model.effects import Effect, IdentifiedEffect, KnownEffect, LoadEffect, SituationEffect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.urdf_tree import UrdfTree
 from geomid_ros.signals.settings import SignalSettings
@@ -115,21 +100,10 @@ class LoadedModel:
         return f"{self.source}: {', '.join(names)}: not predicted, only simulated with the MJCF" if names else ""
 
     @property
-    def effects_without_payloads(self) -> list[KnownEffect]:
-        """Effects without payloads, which are in the inertias of :meth:`parameters`."""
-        return [effect for effect in self.effects if not is_payload(effect)]
-
-    @property
     def effects_in_samples(self) -> list[KnownEffect]:
         """Effects without payloads that remain in samples corrected by :meth:`corrected_signals` and
         :meth:`corrected_sensors`."""
-        return [
-            effect for effect in self.effects_without_payloads if not effect_class(effect.effect).corrected_in_samples
-        ]
-
-    def tilted_gravity(self, gravity: FloatArray) -> FloatArray:
-        """Gravity ``(3,)`` in the base frame, from that of an upright base."""
-        return tilted_gravity(gravity, self.effects)
+        return [e for e in self.effects if not (e.is_payload or e.cls.corrected_in_samples)]
 
     def locked_joints(self, tree: UrdfTree) -> list[str]:
         """Names of a description's joints that were locked when the model was identified: the links at both ends were
@@ -143,7 +117,7 @@ class LoadedModel:
         corrected = []
         for sensor in sensors:
             own = [effect for effect in self.effects if effect.joint == sensor.topic]
-            shifts = [shift for e in own if (shift := effect_class(e.effect).wrench_shift(values_of(e)))]
+            shifts = [shift for e in own if (shift := e.cls.wrench_shift(e.values))]
             offset = tuple(sum(shift.get(axis, 0.0) for shift in shifts) for axis in AXES)
             corrected.append(replace(sensor, offset=offset) if shifts else sensor)
         return corrected
@@ -153,13 +127,13 @@ class LoadedModel:
         given = settings.effort_gain
         by_joint = given if isinstance(given, dict) else dict.fromkeys(joints, given)
         gains = {joint: by_joint.get(joint, 1.0) / self._gains.get(joint, 1.0) for joint in joints}
-        delay = sum(effect_class(effect.effect).effort_lag(values_of(effect)) for effect in self.effects)
+        delay = sum(effect.cls.effort_lag(effect.values) for effect in self.effects)
         return replace(settings, effort_gain=gains if self._gains else given, effort_delay=delay)
 
     @cached_property
     def _gains(self) -> dict[str, float]:
         """Factors from true to measured efforts by joint, where they are not 1."""
-        scales = [(known.joint, effect_class(known.effect).effort_scale(values_of(known))) for known in self.effects]
+        scales = [(known.joint, known.cls.effort_scale(known.values)) for known in self.effects]
         return {joint: scale for joint, scale in scales if scale != 1.0}
 
     @cached_property
@@ -168,7 +142,7 @@ class LoadedModel:
         parameter."""
         coefficients: dict[tuple[IdentifiedEffect, str, str], float] = {}
         for effect in self.effects_in_samples:
-            for part, values in effect_class(effect.effect).coefficients(values_of(effect)).items():
+            for part, values in effect.cls.coefficients(effect.values).items():
                 if isinstance(part, IdentifiedEffect):
                     for form, value in zip(part.column_parameters, values, strict=True):
                         key = part, effect.joint, form.name
@@ -196,7 +170,7 @@ class LoadedModel:
         self._check_merged(model)
         carriers = [name for name in model.body_names if name in self.inertias]
         for effect in self.effects:
-            if is_payload(effect) and effect.link not in carriers:
+            if effect.is_payload and effect.link not in carriers:
                 raise InputError(f"{self.source}: {unknown_name('link with a payload', effect.link, carriers)}")
         inertias = WrittenModel(self.inertias, self.effects).with_payloads_in_links.inertias
         stored = self._coefficients
@@ -216,7 +190,7 @@ class LoadedModel:
         """Raise InputError if a body consists of other links than the body of this name in the file. Links without a
         mass in this description belong to no body, and a payload in the file may be a link here."""
         moving = {link for body in model.robot.bodies for link in (body.name, *body.merged)}
-        carriers = {effect.link for effect in self.effects if is_payload(effect)}
+        carriers = {effect.link for effect in self.effects if effect.is_payload}
         for body in (model.robot.bodies[place] for place in model.identified):
             current = {*body.merged}
             if body.name in carriers:  # a description that was written from this model has the payload as a link
@@ -250,6 +224,6 @@ class LoadedModel:
 
 
 def _is_situational(effect: KnownEffect) -> bool:
-    cls = effect_class(effect.effect)
+    cls = effect.cls
     identified = issubclass(cls, LoadEffect) or cls.corrected_in_samples or cls.compensated_in_samples
     return issubclass(cls, SituationEffect) and not identified

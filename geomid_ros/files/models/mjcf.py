@@ -20,16 +20,15 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effects_file import is_payload, joint_attributes, payload_parameters, tilted_gravity
-from geomid_ros.files.models.urdf import JointFrame, joint_frames
+from geomid_ros.files.models.effects_file import joint_attributes, tilted_gravity
 from geomid_ros.files.models.xml_edits import Edit, edited, insertion, spans_of, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, joints_of, values_of
+from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, joints_of
 from geomid_ros.model.effects.situation import place_named
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.se3 import quaternion
-from geomid_ros.model.urdf_tree import AXES, masters, origin_of, read_numbers, read_xml
+from geomid_ros.model.urdf_tree import AXES, UrdfJoint, masters, origin_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 _READ_BY_MUJOCO = (".stl", ".obj", ".msh")
@@ -171,8 +170,8 @@ class _Writer:
         included, inertials = robot.included_links(bodies), robot.tree.inertials
         others = {name: own for name, own in inertials.items() if name not in included and own[0] > 0.0}
         self._links = {name: pseudo_inertia.nearest_body(own) for name, own in others.items()} | robot.as_links(bodies)
-        self._joints = joint_frames(robot.urdf, robot.source)
-        self._moving = [joint.name for joint in robot.tree.joints if AXES[joint.type] == 1]
+        self._joints = robot.tree.joints
+        self._moving = [joint.name for joint in self._joints if AXES[joint.type] == 1]
         self._masters = masters(robot.tree, robot.source)
         effects = list(effects)
         self._joint_attributes = defaultdict(dict[str, float], joint_attributes(effects, "joint"))
@@ -181,8 +180,8 @@ class _Writer:
         # One entry per effect: two effects of a pair may have different ratios.
         tendons = (joint_attributes([effect], "tendon") for effect in effects)
         self._tendon_attributes = [(name, numbers) for pairs in tendons for name, numbers in pairs.items()]
-        self._effects = {(effect.effect, effect.joint): values_of(effect) for effect in effects}
-        self._payloads = {effect.link: values_of(effect) for effect in effects if is_payload(effect)}
+        self._effects = {(effect.effect, effect.joint): effect.values for effect in effects}
+        self._payloads = {effect.link: effect.body for effect in effects if effect.is_payload}
         self._gravity = tilted_gravity(gravity, effects)
 
     def document(self, sensors: Sequence[WrenchSensor], shapes: Shapes) -> Element:
@@ -211,7 +210,7 @@ class _Writer:
             bodies[_body_name(link)].extend(geoms)
         return root
 
-    def _add_link(self, parent: Element, link: str, joint: JointFrame | None) -> Element:
+    def _add_link(self, parent: Element, link: str, joint: UrdfJoint | None) -> Element:
         body = SubElement(parent, "body", name=_body_name(link))
         if joint is not None:
             body.attrib |= _pose(joint.position, joint.rotation)
@@ -224,17 +223,14 @@ class _Writer:
             self._add_joints(body, joint)
         if link in self._payloads:
             payload = SubElement(body, "body", name=f"{_body_name(link)}/payload")
-            _add_inertial(payload, payload_parameters(self._payloads[link]))
-        for child in self._children(link):
+            _add_inertial(payload, self._payloads[link])
+        for child in self._robot.tree.children(link):
             self._add_link(body, child.child, child)
         return body
 
-    def _children(self, link: str) -> list[JointFrame]:
-        return [joint for joint in self._joints if joint.parent == link]
-
-    def _add_joints(self, body: Element, joint: JointFrame) -> None:
+    def _add_joints(self, body: Element, joint: UrdfJoint) -> None:
         """Add the joint itself, and its second hinges."""
-        kind = {"type": "slide" if joint.slides else "hinge", "axis": number_text(joint.axis)}
+        kind = {"type": "slide" if joint.type == "prismatic" else "hinge", "axis": number_text(joint.axis)}
         numbers = self._joint_attributes[joint.name] | {"armature": self._rotor(joint)}
         dynamics = {name: number_text(number) for name, number in sorted(numbers.items()) if number != 0.0}
         element = SubElement(body, "joint", {"name": joint.name, **kind, **dynamics})
@@ -247,13 +243,13 @@ class _Writer:
                 attributes["armature"] = number_text(_SMALL_ROTOR * self._distal_inertia(joint))
             SubElement(body, "joint", {"name": f"{joint.name}/{hinge.name}", **kind, **attributes})
 
-    def _hinges(self, joint: JointFrame) -> list[Hinge]:
+    def _hinges(self, joint: UrdfJoint) -> list[Hinge]:
         """Additional hinges distal to a joint's own."""
         values = {name: self._effects[name, joint.name] for name in EFFECTS if (name, joint.name) in self._effects}
         hinges = (EFFECTS[name].hinge(value, self._distal_inertia(joint)) for name, value in values.items())
         return [hinge for hinge in hinges if hinge is not None]
 
-    def _rotor(self, joint: JointFrame) -> float:
+    def _rotor(self, joint: UrdfJoint) -> float:
         armature = self._joint_attributes[joint.name].get("armature", 0.0)
         return max(armature, _SMALL_ROTOR * self._distal_inertia(joint)) if self._hinges(joint) else armature
 
@@ -267,10 +263,10 @@ class _Writer:
         ]
         return min([LONGEST_STEP, *(period / _STEPS_PER_RADIAN for period in periods)])
 
-    def _distal_inertia(self, joint: JointFrame) -> float:
+    def _distal_inertia(self, joint: UrdfJoint) -> float:
         """Inertia [kg m^2, kg] about a joint's axis of everything distal to it, all joints at zero."""
         parameters = pseudo_inertia.to_parameters(self._composite(joint.child))
-        if joint.slides:
+        if joint.type == "prismatic":
             return float(parameters[0])
         return float(joint.axis @ pseudo_inertia.rotational_inertia(parameters) @ joint.axis)
 
@@ -278,8 +274,8 @@ class _Writer:
         """Pseudo-inertia ``(4, 4)`` of a link and its subtree, all joints at zero."""
         total = pseudo_inertia.from_parameters(self._links.get(link, np.zeros(10)))
         if link in self._payloads:
-            total = total + pseudo_inertia.from_parameters(payload_parameters(self._payloads[link]))
-        for joint in self._children(link):
+            total = total + pseudo_inertia.from_parameters(self._payloads[link])
+        for joint in self._robot.tree.children(link):
             placed = pseudo_inertia.change_of_frame(joint.rotation, joint.position)
             total = total + placed @ self._composite(joint.child) @ placed.T
         return total

@@ -32,7 +32,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, refusing
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.tolerances import ROUNDING
@@ -296,12 +296,8 @@ def read_population(path: Path) -> Population:
     document = schema.read_document(path, "population", ("robots", "links", "effects", "covariance"))
     content = from_document(_PopulationDocument, document, f"{path}:")
     inertias, effects = inertias_of(content.links, str(path)), content.effects
-    try:
+    with refusing(f"{path}: covariance is not of its links and effects", ValueError, advice="run geomid fleet again"):
         triangle = schema.triangle_from_base64(content.covariance, _NUMBER, 10 * len(inertias) + len(effects))
-    except ValueError as error:
-        raise InputError(
-            f"{path}: covariance is not of its links and effects ({error!r:.200}); run geomid fleet again"
-        ) from error
     covariance = triangle + np.triu(triangle, 1).T
     values = np.array([effect.value for effect in effects])
     scales = np.array([effect.scale for effect in effects if not effect.positive])

@@ -1,10 +1,9 @@
 """Robot descriptions: reading, conversion from xacro, insertion of identified inertias and effects without any other
-change; and the frames, axes and limits of joints."""
+change."""
 
 from __future__ import annotations
 
 import html
-import math
 import os
 import re
 import resource
@@ -13,26 +12,16 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from xml.etree.ElementTree import Element
-
-import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effects_file import (
-    is_payload,
-    joint_attributes,
-    of_followers,
-    payload_name,
-    payload_parameters,
-)
+from geomid_ros.files.models.effects_file import joint_attributes, of_followers, payload_name
 from geomid_ros.files.models.xml_edits import Edit, Span, edited, end_of_tag, insertion, spans_of, with_attributes
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import KnownEffect, values_of
-from geomid_ros.model.urdf_tree import MOST_URDF_BYTES, masters, origin_of, parse, read_numbers, read_xml
+from geomid_ros.model.effects import KnownEffect
+from geomid_ros.model.urdf_tree import MOST_URDF_BYTES, masters, parse, read_xml
 from geomid_ros.signals.settings import LONGEST_REASON
 from geomid_ros.types import FloatArray
 
@@ -158,7 +147,7 @@ def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
         element = data[slice(*span)] if (span := joints[name].child) else b""
         there = {key: zero for key, zero in zeros.items() if re.search(rb"\s" + key.encode() + rb"\s*=", element)}
         attributes[name] = attributes.get(name, {}) | there
-    edits = [_at_end(data, "".join(_payload(effect, links, joints) for effect in effects if is_payload(effect)))]
+    edits = [_at_end(data, "".join(_payload(effect, links, joints) for effect in effects if effect.is_payload))]
     for name, numbers in attributes.items():
         if numbers:  # the other attributes of the element remain
             element = data[slice(*span)] if (span := joints[name].child) else b"<dynamics/>"
@@ -177,7 +166,7 @@ def _payload(effect: KnownEffect, links: Mapping[str, Span], joints: Mapping[str
     name = payload_name(effect.link)
     while name in links or name in joints:
         name += "_"
-    inertial = _inertial(payload_parameters(values_of(effect))).decode()
+    inertial = _inertial(effect.body).decode()
     return (
         f'  <link name="{name}">\n    {inertial}\n  </link>\n  <joint name="{name}" type="fixed">\n'
         f'    <parent link="{effect.link}"/>\n    <child link="{name}"/>\n  </joint>\n'
@@ -255,49 +244,3 @@ def for_gazebo(urdf: str, effects: Iterable[KnownEffect]) -> str:
         for joint, attributes in joint_attributes(effects, "gazebo").items()
     )
     return edited(data, [_at_end(data, added)]).decode()
-
-
-@dataclass(frozen=True, eq=False)
-class JointFrame:
-    """A joint at zero: ``position (3,)`` [m] and ``rotation (3, 3)`` of its child link in the parent's frame, its unit
-    ``axis (3,)`` in the child's, its range [rad or m] and its effort limit [N m or N], infinite if there is none."""
-
-    name: str
-    slides: bool
-    parent: str
-    child: str
-    position: FloatArray
-    rotation: FloatArray
-    axis: FloatArray
-    lower: float
-    upper: float
-    effort: float
-
-
-def joint_frames(urdf: str, source: str) -> tuple[JointFrame, ...]:
-    """Joints of a URDF in its order. Raises InputError naming ``source``."""
-    return tuple(_joint_frame(element, source) for element in read_xml(urdf, source).findall("joint"))
-
-
-def _joint_frame(element: Element, source: str) -> JointFrame:
-    name, kind = element.get("name", ""), element.get("type", "")
-    where = f"{source}: joint '{name}'"
-    position, rotation = origin_of(element, where)
-    axis = np.array(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where))
-    (lower,), (upper,), (effort,) = (
-        read_numbers(element, "limit", (key,), [0.0], where) for key in ("lower", "upper", "effort")
-    )
-    if kind not in ("revolute", "prismatic"):
-        lower, upper = -math.inf, math.inf
-    return JointFrame(
-        name=name,
-        slides=kind == "prismatic",
-        parent=element.find("parent").get("link", ""),  # type: ignore[union-attr]  # the tree was checked
-        child=element.find("child").get("link", ""),  # type: ignore[union-attr]
-        position=position,
-        rotation=rotation,
-        axis=axis / np.linalg.norm(axis) if np.any(axis) else axis,
-        lower=lower,
-        upper=upper,
-        effort=effort if effort > 0.0 else math.inf,
-    )

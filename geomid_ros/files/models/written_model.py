@@ -22,21 +22,14 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.tolerances import SETTLED
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.effects_file import (
-    combined,
-    effects_entries,
-    is_payload,
-    payload_parameters,
-    updated_effects,
-    write_sidecar,
-)
+from geomid_ros.files.models.effects_file import combined, effects_entries, updated_effects, write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile, inertias_of, link_entry, verdict_entry
 from geomid_ros.files.models.mjcf import Shapes, mjcf
 from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF, with_same_files
 from geomid_ros.files.models.urdf import with_absolute_files, with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, to_document
 from geomid_ros.model.coefficients import Coefficient
-from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class, values_of
+from geomid_ros.model.effects import Effect, KnownEffect, Place
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -112,7 +105,7 @@ def _with_folded(effects: Sequence[KnownEffect], folded: Mapping[tuple[str, str]
     for effect in effects:
         changes = {
             form.name: remaining.pop((effect.joint, form.urdf))
-            for form in effect_class(effect.effect).parameters
+            for form in effect.cls.parameters
             if (effect.joint, form.urdf) in remaining and form.name in effect.parameters
         }
         shifted.append(with_shifted_parameters(effect, changes))
@@ -121,7 +114,7 @@ def _with_folded(effects: Sequence[KnownEffect], folded: Mapping[tuple[str, str]
 
 def with_shifted_parameters(effect: KnownEffect, changes: Mapping[str, float]) -> KnownEffect:
     """Change parameters of an effect by these amounts, limited to valid values."""
-    forms = {form.name: form for form in effect_class(effect.effect).parameters}
+    forms = {form.name: form for form in effect.cls.parameters}
     values = {
         name: min(max(q.value + changes.get(name, 0.0), forms[name].above), forms[name].below)
         for name, q in effect.parameters.items()
@@ -152,9 +145,9 @@ class WrittenModel:
         """The model, without ``folded``, with payloads added to the inertias of their links."""
         inertias = dict(self.inertias)
         for effect in self.effects:
-            if is_payload(effect):
-                inertias[effect.link] = inertias[effect.link] + payload_parameters(values_of(effect))
-        return WrittenModel(inertias, tuple(effect for effect in self.effects if not is_payload(effect)))
+            if effect.is_payload:
+                inertias[effect.link] = inertias[effect.link] + effect.body
+        return WrittenModel(inertias, tuple(effect for effect in self.effects if not effect.is_payload))
 
     def representable_in(self, elements: Collection[str]) -> WrittenModel:
         """Return the model without effects that are zero, or that a file with these ``elements`` cannot represent."""
@@ -162,7 +155,7 @@ class WrittenModel:
 
 
 def _is_representable(effect: KnownEffect, elements: Collection[str]) -> bool:
-    cls = effect_class(effect.effect)
+    cls = effect.cls
     forms = [form for form in cls.parameters if form.name in effect.parameters]
     nonzero = all(form.above < effect.parameters[form.name].value for form in forms)
     return nonzero and (cls.is_sensor_error or any(form.said_by(elements) for form in forms))
@@ -220,7 +213,7 @@ def fitted_model_of(file: EstimateFile, reader: str) -> WrittenModel | None:
     if handover is None:
         return None
     inertias = inertias_of(handover.links, source)
-    links = {*inertias, *(effect.link for effect in handover.effects if is_payload(effect))}
+    links = {*inertias, *(effect.link for effect in handover.effects if effect.is_payload)}
     if links != file.inertias.keys():
         here, expected = (", ".join(sorted(names)) for names in (links, file.inertias))
         raise InputError(f"{source}: its links are {here}; expected {expected}")

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from importlib import import_module
 from pkgutil import iter_modules
 
-from geomid_ros.errors import unknown_name
+import numpy as np
+
+from geomid_ros.errors import check_name, unknown_name
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects.effect import Effect as Effect
 from geomid_ros.model.effects.effect import Hinge as Hinge
 from geomid_ros.model.effects.effect import IdentifiedEffect as IdentifiedEffect
@@ -17,8 +21,8 @@ from geomid_ros.model.effects.effect import PairEffect as PairEffect
 from geomid_ros.model.effects.effect import RobotEffect as RobotEffect
 from geomid_ros.model.effects.effect import SensorEffect as SensorEffect
 from geomid_ros.model.effects.effect import SituationEffect as SituationEffect
-from geomid_ros.model.effects.parameters import KnownEffect as KnownEffect
 from geomid_ros.model.effects.parameters import ParameterForm as ParameterForm
+from geomid_ros.model.effects.parameters import Quantities
 from geomid_ros.model.effects.parameters import Quantity as Quantity
 from geomid_ros.model.effects.parameters import Values as Values
 from geomid_ros.model.effects.situation import AtJoint as AtJoint
@@ -33,6 +37,7 @@ from geomid_ros.model.effects.situation import PlaceKind as PlaceKind
 from geomid_ros.model.effects.situation import Situation as Situation
 from geomid_ros.model.effects.situation import joint_of as joint_of
 from geomid_ros.model.effects.situation import joints_of as joints_of
+from geomid_ros.types import FloatArray
 
 DEFAULT_EFFECTS = (
     "viscous_friction",
@@ -101,15 +106,8 @@ for _effect in sorted(_defined(), key=lambda cls: _FIRST.index(cls.name) if cls.
 
 def effect_class(name: str) -> type[Effect]:
     """Return the effect of that name. Raises InputError with the valid names for an unknown one."""
-    if name not in EFFECTS:
-        raise unknown_name("effect", name, EFFECTS)
+    check_name("effect", name, EFFECTS)
     return EFFECTS[name]
-
-
-def values_of(known: KnownEffect) -> dict[str, float]:
-    """Return the values of an effect's parameters; optional ones default to zero."""
-    optional = {form.name: 0.0 for form in effect_class(known.effect).parameters if form.optional}
-    return optional | {name: quantity.value for name, quantity in known.parameters.items()}
 
 
 def identifiable() -> dict[str, IdentifiedEffect]:
@@ -123,3 +121,52 @@ def identified_effect(name: str) -> IdentifiedEffect:
     if effect is None or not issubclass(effect, IdentifiedEffect):
         raise unknown_name("effect", name, identifiable())
     return effect()
+
+
+@dataclass(frozen=True)
+class KnownEffect:
+    """An effect with the values of its parameters, as estimated or read from a file.
+
+    Attributes:
+        effect: its name.
+        joint: joint where it acts, two joints as ``FIRST+SECOND``, the joint that moves a payload's link, or the topic
+            of a wrench sensor; empty for the whole robot.
+        link: link that carries a payload; else empty.
+        parameters: values with standard deviations and units, by name.
+    """
+
+    effect: str
+    joint: str = ""
+    link: str = ""
+    parameters: Quantities = field(default_factory=dict)
+
+    @property
+    def cls(self) -> type[Effect]:
+        """Class of the effect. Raises InputError if there is none of its name."""
+        return effect_class(self.effect)
+
+    @property
+    def location(self) -> str:
+        """Name of the place: that of the link, or of the joint or sensor."""
+        return self.link or self.joint
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of the parameters by name; optional ones default to zero."""
+        optional = {form.name: 0.0 for form in self.cls.parameters if form.optional}
+        return optional | {name: quantity.value for name, quantity in self.parameters.items()}
+
+    @property
+    def is_payload(self) -> bool:
+        """True if it is a payload of a link."""
+        return self.cls.place == "link"
+
+    @property
+    def body(self) -> FloatArray:
+        """Inertial parameters ``(10,)`` of a payload about its link's origin."""
+        return pseudo_inertia.parameters_of(np.array([self.values[form.name] for form in self.cls.parameters]))
+
+    @property
+    def is_coefficient(self) -> bool:
+        """True if it is a single number at a joint that is identified together with the inertias."""
+        return issubclass(self.cls, IdentifiedEffect) and self.cls.is_one_number()

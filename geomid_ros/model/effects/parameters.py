@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeAlias
 
 COM_ENTRIES = ("com_x", "com_y", "com_z")
@@ -47,24 +47,6 @@ def quantities(forms: Iterable[ParameterForm], found: Iterable[Found], *, slidin
         form.name: Quantity(float(value), float(std), form.units[sliding])
         for form, (value, std) in zip(forms, found, strict=False)
     }
-
-
-@dataclass(frozen=True)
-class KnownEffect:
-    """An effect with the values of its parameters, as estimated or read from a file.
-
-    Attributes:
-        effect: its name.
-        joint: joint where it acts, two joints as ``FIRST+SECOND``, the joint that moves a payload's link, or the topic
-            of a wrench sensor; empty for the whole robot.
-        link: link that carries a payload; else empty.
-        parameters: values with standard deviations and units, by name.
-    """
-
-    effect: str
-    joint: str = ""
-    link: str = ""
-    parameters: Quantities = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from inspect import isfunction
 
 import numpy as np
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError, check_name, unknown_name
 from geomid_ros.simulation.description import Description, UrdfLimits
 from geomid_ros.simulation.effects.physics import TrueEffect
 from geomid_ros.simulation.options import GEARS, Hidden, RandomStream, SimulationOptions, generator
@@ -210,8 +210,7 @@ def _default_effects(options: SimulationOptions, joint: UrdfLimits, rng: np.rand
 def _requested(
     request: Hidden, robot: Description, options: SimulationOptions, others: list[TrueEffect], rng: np.random.Generator
 ) -> TrueEffect:
-    if request.effect not in SIZES:
-        raise unknown_name("effect", request.effect, SIZES)
+    check_name("effect", request.effect, SIZES)
     joint, link = _place(request, robot, options, others, rng)
     limits = {limits.name: limits for limits in robot.joints}
     other = _neighbour(joint, list(limits)) if request.effect in _TWO_JOINTS else ""
@@ -275,8 +274,7 @@ def _parameters(request: Hidden, site: Site, rng: np.random.Generator) -> dict[s
     names = list(SIZES[request.effect](site, np.random.default_rng()))
     given = dict(request.parameters) if request.value is None else {names[0]: request.value}
     for name, value in given.items():
-        if name not in names:
-            raise unknown_name(f"parameter of {request.effect}", name, names)
+        check_name(f"parameter of {request.effect}", name, names)
         _check_value(request.effect, name, value)
     drawn = SIZES[request.effect](replace(site, given=given), rng)
     return {**drawn, **given}

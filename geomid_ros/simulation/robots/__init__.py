@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import refusing, unknown_name
 
 WRIST_FRAME = "wrist_ft"
 """Link with the wrench sensor on every shipped robot."""
@@ -22,14 +22,8 @@ def robot_names() -> tuple[str, ...]:
 def robot_description(robot: str) -> str:
     """URDF text of a shipped robot, or of the file at ``robot`` when that ends in ``.urdf``."""
     if robot.endswith(_SUFFIX):
-        return _read(Path(robot))
+        with refusing(f"{robot}: the URDF cannot be read", OSError, UnicodeDecodeError, advice="name a text file"):
+            return Path(robot).read_text(encoding="utf-8")
     if robot not in robot_names():
         raise unknown_name("robot", robot, (*robot_names(), "path/to/your" + _SUFFIX))
     return files(__name__).joinpath(robot + _SUFFIX).read_text(encoding="utf-8")
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the URDF {path}: {error}. Give the path of an existing text file.") from error
