@@ -84,8 +84,7 @@ class Gap:
         identified = dict(zip(self.result.channels, (self.result.gap.after * self.result.floor).tolist(), strict=True))
         written, session = self._written, self.session
         errors = {e.effect for e in written.effects if e.cls.is_sensor_error and e.is_coefficient}
-        parameters = session.configuration.with_values({"effects": sorted(errors), "candidates": []})
-        with_errors = Session(session.urdf, parameters, session.robot.source)
+        with_errors = session.again({"effects": sorted(errors), "candidates": []})
         test = with_errors, self.reader, self._description, self.held_out, identified
         return evaluate_description(*test, effects=written.known, beside=written.effects)
 
@@ -173,13 +172,10 @@ class Gap:
     def _write(self, folder: Path) -> list[Path]:
         files, document = write_found(folder, self.session, self.result, self.reader), self.document
         write_json(folder / "gap.json", document)
-        description = folder / file_name(self.reader)
-        if description not in files:
-            files.append(description)
-            write_text(description, self._description.text)
-        for name, text in self._description.extra_files.items():
-            files.append(folder / name)
-            write_text(folder / name, text)
+        texts = {file_name(self.reader): self._description.text, **self._description.extra_files}
+        for path, text in ((folder / name, text) for name, text in texts.items() if folder / name not in files):
+            files.append(path)
+            write_text(path, text)
         written = [folder / "gap.json", *write_tables(folder, tables(document))]
         return [*written, *files]
 

@@ -34,8 +34,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent, takes
 from geomid_ros.report.result_pages import write_identification_page
 from geomid_ros.report.series import Series, series_of
-from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import gap_session, remainder_of
+from geomid_ros.session.gap import remainder_of
 from geomid_ros.session.options import PathLike
 from geomid_ros.session.recordings import Bags, read_bags, read_fitted
 from geomid_ros.session.session import Session, document, identified_urdf, installed_version
@@ -135,7 +134,7 @@ class Identification:
         """The fitted samples, in batches; read from the bags again if others are held out, as they are not kept."""
         if not self.held_out:
             return self.judged
-        return read_fitted(Session(*self.same_again), self.bags)
+        return read_fitted(self.session.again(), self.bags)
 
     @property
     def rms_nominal(self) -> dict[str, float]:
@@ -167,12 +166,7 @@ class Identification:
             return None
         from geomid_ros.session.written_simulation import tracking_of  # noqa: PLC0415 rarely needed
 
-        return tracking_of(Session(*self.same_again), self.written.model, self.bags, self.command)
-
-    @property
-    def same_again(self) -> tuple[str, Configuration, str]:
-        """URDF, configuration and source, to create another session of the same robot."""
-        return self.session.urdf, self.session.configuration, self.session.robot.source
+        return tracking_of(self.session.again(), self.written.model, self.bags, self.command)
 
     def _by_channel(self, values: FloatArray) -> dict[str, float]:
         return dict(zip(self.estimate.channels, values.tolist(), strict=True))
@@ -333,10 +327,9 @@ class Identification:
     def _remainder(self, folder: Path, progress: Progress) -> KnownRemainder | None:
         """Return the remainder of the estimate in ``folder`` on the bags, as ``geomid gap --model`` will compute it.
         Return None and add a note if it cannot be computed: the estimate is worth keeping without it."""
-        urdf, configuration, source = self.same_again
-        written = configuration.with_values({"model": str(folder / "estimate.json"), "prior": ""})
+        written = {"model": str(folder / "estimate.json"), "prior": "", "effects": [], "candidates": []}
         try:
-            return remainder_of(gap_session(urdf, written, source), self.bags, progress)
+            return remainder_of(self.session.again(written), self.bags, progress)
         except (GeomidError, np.linalg.LinAlgError) as error:
             self.session.review.settled.append(f"{POSTERIOR} does not contain the remainder of the model: {error}")
             return None

@@ -13,7 +13,6 @@ from geomid_ros.files.bags.bag import bags_in
 from geomid_ros.files.models.urdf import SUFFIX, read_urdf
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.moving_base import Imu
 from geomid_ros.options import Options, named_once, numbers_in
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import Config, DescriptionOptions, Gains, PathLike, Paths, Texts, paths, texts
@@ -96,8 +95,16 @@ def topics(options: RobotOptions) -> Topics:
     """Return the topics to read recordings from."""
     if options.imu is not None and options.odom_topic != ODOM:
         raise InputError("--odom-topic and --imu exclude each other: the IMU replaces the base pose; remove one")
-    imu = IMU if options.imu is None else Imu.parse(options.imu).topic
+    imu = IMU if options.imu is None else _imu(options.imu)[0]
     return Topics(options.joint_topic, options.odom_topic, imu, options.command or COMMANDS)
+
+
+def _imu(text: str) -> tuple[str, str]:
+    """Return topic and frame of an IMU."""
+    topic, _, frame = text.partition(":")
+    if not topic or not frame or ":" in frame:
+        raise InputError(f"imu '{text}' is not of the form TOPIC:FRAME, e.g. /imu:imu_link")
+    return topic, frame
 
 
 def recordings(options: RecordingOptions, fitted: Paths) -> Bags:
@@ -121,7 +128,7 @@ def configuration(options: DescriptionOptions, model: PathLike | None = None, **
     if model is not None:
         overrides["model"] = str(model)
     if isinstance(options, RobotOptions) and options.imu is not None:
-        overrides["imu.frame"] = Imu.parse(options.imu).frame
+        overrides["imu.frame"] = _imu(options.imu)[1]
     if isinstance(options, RobotOptions) and options.gains:
         overrides["command.gains"] = [gain for text in entries("gains", options.gains) for gain in _gains_of(text)]
     result = _base(options.config)

@@ -23,22 +23,6 @@ from geomid_ros.options import numbers_in
 from geomid_ros.types import FloatArray, IntArray
 
 
-@dataclass(frozen=True)
-class Imu:
-    """A ``topic`` of sensor_msgs/Imu, measured in the axes and at the origin of the URDF link ``frame``."""
-
-    topic: str
-    frame: str
-
-    @staticmethod
-    def parse(text: str) -> Imu:
-        """Parse ``TOPIC:FRAME``. Raises InputError for any other form."""
-        topic, _, frame = text.partition(":")
-        if not topic or not frame or ":" in frame:
-            raise InputError(f"imu '{text}' is not of the form TOPIC:FRAME, e.g. /imu:imu_link")
-        return Imu(topic, frame)
-
-
 @dataclass(frozen=True, eq=False)
 class ImuMount:
     """Pose of an IMU on the base, and the ``gravity (3,)`` of the world [m/s^2].

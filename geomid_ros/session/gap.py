@@ -89,8 +89,7 @@ def identified_session(session: Session, estimate: Estimate) -> Session:
     """
     file = EstimateFile.of(document(session, estimate), "the estimate so far")
     loaded = replace(LoadedModel.of(file), posterior=estimate.posterior)
-    values = {"effects": [], "candidates": [], "model": "", "prior": ""}
-    return Session(session.urdf, session.configuration.with_values(values), "robot_description", loaded=loaded)
+    return session.again({"effects": [], "candidates": [], "model": "", "prior": ""}, loaded)
 
 
 def message_rate(stamps: Sequence[int]) -> float:
@@ -151,8 +150,7 @@ def find_gap_in_samples(
 def _default_effects(session: Session, recordings: GapSamples) -> Shapes:
     """Default effects in the shapes that ``identify`` finds in the recordings to fit; none if these do not suffice."""
     effects = {"effects": list(DEFAULT_EFFECTS), "candidates": list(DEFAULT_CANDIDATES)}
-    given = session.configuration.with_values({**effects, "filter.cutoff": recordings.cutoff})
-    usual = Session(session.urdf, given, session.robot.name)
+    usual = session.again({**effects, "filter.cutoff": recordings.cutoff})
     training = Training(usual)
     for samples in recordings.train:
         training.add(samples)

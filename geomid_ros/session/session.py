@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -83,6 +83,10 @@ class Session(Setup):
         positive = np.array([c.positive for c in self.model.coefficients], dtype=bool)
         first = len(prior) - len(positive)
         return np.append(prior[:first], np.where(positive & (prior[first:] <= 0.0), np.nan, prior[first:]))
+
+    def again(self, values: Mapping[str, Any] | None = None, loaded: LoadedModel | None = None) -> Session:
+        """Make a session of the same robot that has read nothing, with these values of parameters, and this model."""
+        return Session(self.urdf, self.configuration.with_values(values or {}), self.source, loaded=loaded)
 
     def reconfigure(self, configuration: Configuration) -> None:
         """Solve with another configuration of the same rows. If it does not fit, raises InputError without changes."""

@@ -180,21 +180,15 @@ class Setup:
             ledger: counts what becomes of each message.
         """
         return SignalPipeline(
-            self.robot.joint_names,
-            floating_base=self.robot.floating_base,
-            sensors=self.model.sensors,
-            settings=replace(self.signals, cutoff=cutoff) if cutoff else self.signals,
-            continuous=[joint.name for joint in self.robot.joints if joint.continuous],
-            turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
-            limits=np.array([self.robot.speed_limits, self.robot.effort_limits]),
-            effect_columns=effect_columns or self.model.columns,
+            self.model,
+            replace(self.signals, cutoff=cutoff) if cutoff else self.signals,
+            effect_columns=effect_columns,
             on_accepted=on_accepted,
             ledger=ledger,
             received_joints=self.received_joints,
             locked_joints=self.locked_joints,
             still_distance=self.configuration["still_distance"],
             mount=self._imu_mount,
-            loads=None if self.model.legs is None else self.model.legs.loads,
             controller=self.controller,
         )
 

@@ -16,9 +16,9 @@ from itertools import repeat
 import numpy as np
 
 from geomid_ros.errors import InputError, check_name
-from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import PDController
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_gate import JointGate
@@ -32,8 +32,6 @@ from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import MOST_WAITING, SignalSettings
 from geomid_ros.types import AnyArray, FloatArray
 
-_DEFAULTS = SignalSettings()
-
 UNDECIDED = "end of data: too few later messages to validate them"
 
 
@@ -46,59 +44,49 @@ class SignalPipeline:
 
     def __init__(
         self,
-        joints: Sequence[str],
+        model: MeasurementModel,
+        settings: SignalSettings,
         *,
-        floating_base: bool = False,
-        sensors: Sequence[WrenchSensor] = (),
-        settings: SignalSettings = _DEFAULTS,
-        continuous: Sequence[str] = (),
-        turning: Sequence[str] = (),
-        limits: FloatArray | None = None,
-        effect_columns: tuple[Column, ...] = (),
+        effect_columns: tuple[Column, ...] | None = None,
         on_accepted: Callable[[AcceptedMessages], None] = ignore,
         ledger: Ledger | None = None,
         received_joints: set[str] | None = None,
         locked_joints: Collection[str] = (),
         still_distance: float = 0.0,
         mount: ImuMount | None = None,
-        loads: Callable[[Samples], FloatArray] | None = None,
         controller: PDController | None = None,
     ) -> None:
         """
         Args:
-            joints: joints of the robot, in its order.
-            floating_base: True if the base moves: its pose comes on ODOM, unless it has an IMU.
-            sensors: the wrench sensors, in the order of samples.
+            model: the robot and its sensors. The pose of a floating base comes on ODOM, unless it has an IMU. Positions
+                of joints without limits may jump by whole turns between messages, and are wrapped to -pi to pi in
+                samples; in those of other revolute joints a step of a whole turn is caused by the driver, and is
+                undone.
             settings: settings of the filter and of efforts.
-            continuous: joints without limits: their positions may jump by whole turns between messages, and are wrapped
-                to -pi to pi in samples.
-            turning: revolute joints: a step of a whole turn in their positions is caused by the driver, and is undone.
-            limits: ``(2, joints)`` the URDF's limits of speeds and efforts, infinite where it has none.
-            effect_columns: columns of effects that samples contain (:attr:`MeasurementModel.columns`).
+            effect_columns: columns of effects that samples contain; those of the model unless given.
             on_accepted: called with all accepted messages, in the form that :meth:`push_accepted` takes.
             ledger: counts all messages.
             received_joints: set to which the names of joints in messages are added.
             locked_joints: joints that count as fixed at zero; remarks tell if messages contradict that.
             still_distance: distance between two of their positions that differ [rad, m].
             mount: pose of the IMU on a floating base; its messages come on IMU.
-            loads: function for the feet's loads, from which their stance follows; see
-                :class:`~geomid_ros.signals.moving_base.Stance`.
             controller: controller of the joints: efforts are computed from commands, which come on COMMANDS.
 
         Raises:
             InputError: two topics have the same name, a gain is of an unknown joint, or the cutoff is too high.
         """
-        self._joints = tuple(joints)
-        self._sensors = {sensor.topic: sensor for sensor in sensors}
+        robot = model.robot
+        self._joints = robot.joint_names
+        self._sensors = {sensor.topic: sensor for sensor in model.sensors}
         reserved = JOINT_STATES, ODOM, IMU, COMMANDS
-        if len({*reserved, *self._sensors}) < len(reserved) + len(sensors):
-            named = ", ".join(sensor.topic for sensor in sensors)
+        if len({*reserved, *self._sensors}) < len(reserved) + len(model.sensors):
+            named = ", ".join(sensor.topic for sensor in model.sensors)
             raise InputError(f"wrench topics must differ from each other and from {', '.join(reserved)}: {named}")
         self._max_gap = settings.max_gap_ns
         self._gains = settings.effort_gains(self._joints)
-        self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
-        self._turning = np.array([joint in turning for joint in self._joints], dtype=bool)
-        self._limits = np.full((2, len(self._joints)), np.inf) if limits is None else limits
+        self._continuous = np.array([joint.continuous for joint in robot.joints], dtype=bool)
+        self._turning = np.array([joint.unit == "N m" for joint in robot.joints], dtype=bool)
+        self._limits = np.array([robot.speed_limits, robot.effort_limits])
         self.ledger = ledger or Ledger()
         self.received_joints = set() if received_joints is None else received_joints
         self._on_accepted, self._commanded = on_accepted, controller is not None
@@ -110,12 +98,8 @@ class SignalPipeline:
         self._arrived = 0  # number of messages
         self._open: Counter[str] = Counter()  # messages that are not yet accounted for
         self._joined: list[tuple[int, Part, int, FloatArray]] = []  # messages to merge with those of other joints
-        base = [ODOM if mount is None else IMU] if floating_base else []
-        topics = (*self._sensors, *base)
-        self._sampler = Sampler(
-            settings, self._continuous, topics, effect_columns, self.ledger, mount=mount, controller=controller
-        )
-        self._stance = Stance(loads, settings.cutoff) if loads is not None else None
+        self._sampler = Sampler(model, settings, effect_columns or model.columns, self.ledger, mount, controller)
+        self._stance = Stance(model.legs.loads, settings.cutoff) if model.legs is not None else None
 
     def _new_reader(self, joints: Part) -> JointReader:
         places = [self._joints.index(joint) for joint in joints]

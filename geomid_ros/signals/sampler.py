@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.model.columns import Column, Entries, PlacedColumn
 from geomid_ros.model.controller import PDController
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.samples import SAMPLES_PER_PIECE, Samples
 from geomid_ros.signals.clocks import FEWEST, FEWEST_IN_BURSTS, MotionClock, RegularClock, VelocityCheck, in_bursts
@@ -46,34 +47,32 @@ class Sampler:
 
     def __init__(
         self,
+        model: MeasurementModel,
         settings: SignalSettings,
-        continuous: BoolArray,
-        topics: Sequence[str],
         effect_columns: tuple[Column, ...],
         ledger: Ledger,
-        mount: ImuMount | None = None,
-        controller: PDController | None = None,
+        mount: ImuMount | None,
+        controller: PDController | None,
     ) -> None:
         """
         Args:
+            model: the robot and its sensors; positions of joints without limits are from -pi to pi in samples.
             settings: settings of the filter.
-            continuous: ``(joints,)`` True for joints without limits; their positions are from -pi to pi in samples.
-            topics: topics of wrench sensors, and ODOM or IMU of a floating base; joint topics are not listed.
             effect_columns: columns of effects that samples contain.
             ledger: counts accepted messages that are dropped.
             mount: pose of the IMU on the base.
             controller: controller of the joints, if efforts are computed from commands.
         """
         self._settings = settings
-        self._continuous = continuous
-        self._wrenches = [topic for topic in topics if topic not in (ODOM, IMU)]
-        self._base = next((topic for topic in topics if topic in (ODOM, IMU)), None)
+        self._continuous = np.array([joint.continuous for joint in model.robot.joints], dtype=bool)
+        self._wrenches = [sensor.topic for sensor in model.sensors]
+        self._base = (ODOM if mount is None else IMU) if model.robot.floating_base else None
         self._mount, self._controller = mount, controller
         self._max_gap = settings.max_gap_ns
         self._effort_delay = round(1e9 * settings.effort_delay)
-        self._entries = Entries(effect_columns, len(continuous))
+        self._entries = Entries(effect_columns, len(self._continuous))
         self._ledger = ledger
-        self._velocities = VelocityCheck(len(continuous))
+        self._velocities = VelocityCheck(len(self._continuous))
         self._clock: RegularClock | None = None  # of joint messages whose stamps are not times of measurement
         self._motion_clock: MotionClock  # once the period is known
         self._watched = np.zeros(0, dtype=np.int64)  # stamps of the last joint messages

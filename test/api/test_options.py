@@ -27,7 +27,7 @@ from geomid_ros.api.options import (
 )
 from geomid_ros.api.robot import configuration
 from geomid_ros.commands import root
-from geomid_ros.options import explained
+from geomid_ros.options import explained, numbers_in
 from geomid_ros.session.configuration import find_parameter
 from geomid_ros.session.options import MotionOptions
 from geomid_ros.session.recordings import HELD_OUT
@@ -179,3 +179,10 @@ def test_a_number_out_of_its_range_is_refused(wrong: dict[str, Any], said: str) 
 @pytest.mark.parametrize("options", [RecordingOptions, FleetOptions])
 def test_the_help_states_the_default_share_that_is_held_out(options: type) -> None:
     assert f"[default: {HELD_OUT:g}" in explained(options)["hold_out"]
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"), [("1,-2.5e1", [1.0, -25.0]), ("1,nan", []), ("1,,2", []), ("", []), ("1:2", []), ("a", [])]
+)
+def test_numbers_in_a_text_are_all_finite_or_none(text: str, numbers: list[float]) -> None:
+    assert numbers_in(text) == numbers

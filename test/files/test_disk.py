@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from geomid_ros.errors import GeomidError
+from geomid_ros.errors import GeomidError, refusing
 from geomid_ros.files.disk import staged, write_bytes, write_text
 
 BEFORE = "what was there before"
@@ -126,3 +126,14 @@ def test_a_stage_that_fails_leaves_what_was_there(there: bool, tmp_path: Path) -
         fail_midway(folder)
     assert folder.exists() == there
     assert not there or [path.read_text() for path in folder.iterdir()] == ["kept"]
+
+
+def test_a_library_s_error_becomes_one_sentence_with_its_reason_and_advice() -> None:
+    """Errors of other kinds pass."""
+    for advice, end in (("", "$"), ("look elsewhere", "; look elsewhere$")):
+        sentence = r"^x: cannot be read \(No such file or directory\)" + end
+        refused = refusing("x: cannot be read", OSError, advice=advice, kind=GeomidError)
+        with pytest.raises(GeomidError, match=sentence), refused:
+            Path("/nowhere").read_text(encoding="utf-8")
+    with pytest.raises(ZeroDivisionError), refusing("x", OSError):
+        _ = 1 / 0

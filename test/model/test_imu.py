@@ -6,8 +6,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from geomid_ros.api.options import RobotOptions
+from geomid_ros.api.robot import topics
 from geomid_ros.errors import InputError
-from geomid_ros.model.moving_base import Imu, ImuMount
+from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -78,4 +80,4 @@ def test_an_imu_is_on_the_base(frame: str, message: str) -> None:
 @pytest.mark.parametrize("text", ["", "/imu", "/imu:", ":trunk", "/imu:trunk:0.1"])
 def test_another_form_of_an_imu_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="TOPIC:FRAME"):
-        Imu.parse(text)
+        topics(RobotOptions(imu=text))

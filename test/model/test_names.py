@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from signals.feeding import pipeline_of
 from signals.sent import WrenchMessage
 
 from geomid_ros.errors import InputError
@@ -12,7 +13,6 @@ from geomid_ros.model.channels import AXES, ROLES, WORLD_FRAMES, WrenchSensor
 from geomid_ros.model.effects import identifiable, identified_effect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
 from .robots import urdf
@@ -43,12 +43,12 @@ CASES: dict[str, tuple[Callable[[], object], str, list[str]]] = {
     "frame on a floating robot": (measured("FL_FOOD", "external", floating=True), "FL_FOOT", [*WORLD_FRAMES]),
     "mounted in the world": (measured("world_", "mounted", floating=True), "", ["FL_FOOT"]),
     "joint with a gain": (
-        lambda: SignalPipeline(UR5_JOINTS, settings=SignalSettings(effort_gain={"elbow": -1.0})),
+        lambda: pipeline_of(UR5_JOINTS, settings=SignalSettings(effort_gain={"elbow": -1.0})),
         "elbow_joint",
         UR5_JOINTS,
     ),
     "wrench topic": (
-        lambda: SignalPipeline(["a"], sensors=[WrenchSensor("/ft", "l", "mounted")]).push(
+        lambda: pipeline_of(["a"], sensors=[WrenchSensor("/ft", "l", "mounted")]).push(
             WrenchMessage("ft", 1, "l", [0.0] * 6)
         ),
         "/ft",

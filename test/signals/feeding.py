@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from geomid_ros.model.channels import WrenchSensor
+from geomid_ros.model.columns import Column
+from geomid_ros.model.robot import Joint
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.messages import Block
 from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
 from .sent import JointMessage, Message, WrenchMessage
@@ -101,6 +106,31 @@ def blocks(messages: Sequence[Message]) -> list[Block]:
         )
         for (topic, names, *_), several in groups.items()
     ]
+
+
+def pipeline_of(
+    joints: Sequence[str],
+    *,
+    floating_base: bool = False,
+    sensors: Sequence[WrenchSensor] = (),
+    settings: SignalSettings | None = None,
+    continuous: Sequence[str] = (),
+    turning: Sequence[str] = (),
+    limits: FloatArray | None = None,
+    effect_columns: tuple[Column, ...] = (),
+    **others: Any,
+) -> SignalPipeline:
+    """A pipeline of joints that no URDF describes."""
+    speeds, efforts = np.full((2, len(joints)), np.inf) if limits is None else limits
+    robot = SimpleNamespace(
+        joint_names=tuple(joints),
+        joints=[Joint(name, 0, 0, name in continuous, "N m" if name in turning else "N") for name in joints],
+        floating_base=floating_base,
+        speed_limits=speeds,
+        effort_limits=efforts,
+    )
+    model: Any = SimpleNamespace(robot=robot, sensors=sensors, columns=effect_columns, legs=None)
+    return SignalPipeline(model, settings or SignalSettings(), **others)
 
 
 def push(pipeline: SignalPipeline, messages: Iterable[Message]) -> Iterator[None]:

@@ -13,7 +13,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
-from .feeding import JOINTS, blocks, in_time, jittered, joint_messages, regular, without, wrench_messages
+from .feeding import JOINTS, blocks, in_time, jittered, joint_messages, pipeline_of, regular, without, wrench_messages
 from .sent import JointMessage, Message
 
 TURN = 2.0 * np.pi
@@ -153,7 +153,7 @@ def pipeline(*, merge: bool, **told: Any) -> SignalPipeline:
     sensor = WrenchSensor("/wrench", "tool", "mounted", axes=("fx", "fz"))
     limits = np.array([[3.0, np.inf, 4.0], [80.0, np.inf, 20.0]])
     settings = SignalSettings(merge=merge)
-    return SignalPipeline(
+    return pipeline_of(
         JOINTS, sensors=[sensor], settings=settings, continuous=["wrist"], turning=JOINTS, limits=limits, **told
     )
 

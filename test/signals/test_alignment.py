@@ -25,6 +25,7 @@ from .feeding import (
     feed,
     in_time,
     joint_messages,
+    pipeline_of,
     push,
     regular,
     wrench_messages,
@@ -35,7 +36,7 @@ SENSOR = WrenchSensor("/wrench", "tool", "mounted")
 
 
 def pipeline(period: float = 0.01, **settings: float) -> SignalPipeline:
-    return SignalPipeline(JOINTS, sensors=[SENSOR], settings=SignalSettings(period=period, **settings))
+    return pipeline_of(JOINTS, sensors=[SENSOR], settings=SignalSettings(period=period, **settings))
 
 
 def common(samples: Samples, stamps: IntArray) -> Samples:
@@ -47,21 +48,21 @@ def test_the_period_is_that_of_the_joints() -> None:
     """The median of the first ones, so that a few lost messages do not matter; to ten microseconds."""
     stamps = regular(0.01, 6.0)
     lossy = np.delete(stamps + np.random.default_rng(1).integers(-3000, 3000, len(stamps)), [3, 4, 11, 25])
-    alone = SignalPipeline(JOINTS)
+    alone = pipeline_of(JOINTS)
     samples = feed(alone, joint_messages(lossy))
     assert np.all(samples.stamps % 10_000_000 == 0)
-    assert alone.lag == pytest.approx(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)).lag)
+    assert alone.lag == pytest.approx(pipeline_of(JOINTS, settings=SignalSettings(period=0.01)).lag)
 
 
 def test_joints_may_be_too_slow_for_the_cutoff() -> None:
-    slow = SignalPipeline(JOINTS)
+    slow = pipeline_of(JOINTS)
     with pytest.raises(InputError, match="5 Hz is too high for data at 10 Hz"):
         feed(slow, joint_messages(regular(0.1, 6.0)))
 
 
 def test_messages_that_only_repeat_others_are_said_to_make_joints_too_slow() -> None:
     """At 20 Hz, each measurement twice: what is known of the motion comes at 10 Hz."""
-    twice = SignalPipeline(JOINTS)
+    twice = pipeline_of(JOINTS)
     messages = joint_messages(regular(0.05, 6.0))
     again = [
         message if index % 2 == 0 else replace(messages[index - 1], stamp=message.stamp)
@@ -167,16 +168,16 @@ def test_the_order_of_joints_is_each_messages_own() -> None:
         arrays = {key: np.array(getattr(message, key))[order] for key in ("position", "velocity", "effort")}
         shuffled.append(replace(message, names=tuple(JOINTS[place] for place in order), **arrays))
     settings = SignalSettings(period=0.01)
-    expected = feed(SignalPipeline(JOINTS, settings=settings), messages)
-    assert_same(feed(SignalPipeline(JOINTS, settings=settings), shuffled), expected, tolerance=0.0)
+    expected = feed(pipeline_of(JOINTS, settings=settings), messages)
+    assert_same(feed(pipeline_of(JOINTS, settings=settings), shuffled), expected, tolerance=0.0)
 
 
 @pytest.mark.parametrize("gain", [-2.5, {"elbow": -2.5}])
 def test_effort_gains_make_newton_metres(gain: float | dict[str, float]) -> None:
     """One number for all joints, or one by name; negative reverses the sign. Nothing else changes."""
     messages = joint_messages(regular(0.01, 6.0))
-    plain = feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)), messages)
-    scaled = feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01, effort_gain=gain)), messages)
+    plain = feed(pipeline_of(JOINTS, settings=SignalSettings(period=0.01)), messages)
+    scaled = feed(pipeline_of(JOINTS, settings=SignalSettings(period=0.01, effort_gain=gain)), messages)
     factors = np.full(3, gain) if isinstance(gain, float) else np.array([1.0, -2.5, 1.0])
     np.testing.assert_allclose(scaled.effort, plain.effort * factors, rtol=0, atol=1e-11)
     np.testing.assert_array_equal(scaled.position, plain.position)
@@ -186,4 +187,4 @@ def test_effort_gains_make_newton_metres(gain: float | dict[str, float]) -> None
 def test_topics_must_differ(topic: str) -> None:
     sensors = [SENSOR, WrenchSensor(topic, "foot", "external")]
     with pytest.raises(InputError, match="topics must differ"):
-        SignalPipeline(JOINTS, sensors=sensors)
+        pipeline_of(JOINTS, sensors=sensors)

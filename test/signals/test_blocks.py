@@ -14,7 +14,7 @@ from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
 from . import spoiled as randomly
-from .feeding import JOINTS, balanced, joint_messages, regular
+from .feeding import JOINTS, balanced, joint_messages, pipeline_of, regular
 from .sent import Message
 from .spoiled import in_parts
 
@@ -35,7 +35,7 @@ def test_a_pause_of_frozen_messages_is_a_pause() -> None:
     clean = joint_messages(regular(0.01, 6.0), velocity=True)
     messages = [replace(m, **{k: getattr(clean[200], k) for k in ("position", "velocity", "effort")})
                 if 200 < index < 300 else m for index, m in enumerate(clean)]  # fmt: skip
-    alone, together = (SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)) for _ in range(2))
+    alone, together = (pipeline_of(JOINTS, settings=SignalSettings(period=0.01)) for _ in range(2))
     assert_same_to_the_last_digit(in_blocks(together, messages, 10_000), in_blocks(alone, messages, 1))
     assert together.ledger.topics == alone.ledger.topics
     assert sum(together.ledger.topics["joint_states"].rejected.values()) == 99

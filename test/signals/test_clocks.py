@@ -15,12 +15,11 @@ import pytest
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.clocks import SCALED, MotionClock, RegularClock, in_bursts
 from geomid_ros.signals.messages import JOINT_STATES
-from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.sampler import LATE, NOW_IN_BURSTS, UNEVEN
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import JOINTS, START, Motion, assert_same, balanced, feed, joint_messages, regular
+from .feeding import JOINTS, START, Motion, assert_same, balanced, feed, joint_messages, pipeline_of, regular
 from .sent import JointMessage
 from .spoiled import in_parts, pipeline
 
@@ -109,7 +108,7 @@ def fed(velocity: FloatArray | None) -> Samples:
     messages = joint_messages(STAMPS)
     if velocity is not None:
         messages = [replace(message, velocity=row) for message, row in zip(messages, velocity, strict=True)]
-    return feed(SignalPipeline(JOINTS, settings=SETTINGS), messages)
+    return feed(pipeline_of(JOINTS, settings=SETTINGS), messages)
 
 
 @cache
@@ -146,7 +145,7 @@ def test_velocities_in_another_unit_of_time_are_told(factor: float, seconds: flo
     begins, velocities that are late are less than the derivatives, too: so little tells nothing."""
     velocity = factor * true_velocity()
     messages = [replace(m, velocity=row) for m, row in zip(joint_messages(STAMPS), velocity, strict=True)]
-    target = SignalPipeline(JOINTS, settings=SETTINGS)
+    target = pipeline_of(JOINTS, settings=SETTINGS)
     feed(target, messages[: round(100 * seconds)])
     assert (SCALED in target.ledger.topics[JOINT_STATES].noted) == noted
 
@@ -155,7 +154,7 @@ def test_velocities_that_are_late_are_in_no_other_unit() -> None:
     """They are less than the derivatives at the same time, but not in proportion."""
     late = np.roll(true_velocity(), 20, axis=0)
     messages = [replace(m, velocity=row) for m, row in zip(joint_messages(STAMPS), late, strict=True)]
-    target = SignalPipeline(JOINTS, settings=SETTINGS)
+    target = pipeline_of(JOINTS, settings=SETTINGS)
     feed(target, messages)
     assert SCALED not in target.ledger.topics[JOINT_STATES].noted
 
@@ -169,7 +168,7 @@ def test_a_joint_that_stands_still_tells_nothing(rate: float) -> None:
         replace(m, position=small * m.position, velocity=factors * small * row)
         for m, row in zip(joint_messages(STAMPS), true_velocity(), strict=True)
     ]
-    target = SignalPipeline(JOINTS, settings=SETTINGS)
+    target = pipeline_of(JOINTS, settings=SETTINGS)
     feed(target, messages)
     noted = " ".join(map(str, target.ledger.topics[JOINT_STATES].noted))
     assert ("stamps run 2 times too fast" in noted) == (rate == 2.0)
@@ -205,7 +204,7 @@ def test_samples_move_as_measured_whenever_messages_were_published(source: str) 
     messages = republished(*SOURCES[source])
 
     def error(sent: list[JointMessage]) -> tuple[float, bool]:
-        target = SignalPipeline(JOINTS, settings=SignalSettings(cutoff=4.0))
+        target = pipeline_of(JOINTS, settings=SignalSettings(cutoff=4.0))
         samples = feed(target, sent)
         later = samples.select(samples.stamps > START + 10_000 * MS)
         # The age of the latest measurement is unknown, but for its changes: the truth may be so much earlier.

@@ -13,7 +13,19 @@ from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import JOINTS, START, Motion, blocks, feed, in_time, jittered, joint_messages, regular, seconds
+from .feeding import (
+    JOINTS,
+    START,
+    Motion,
+    blocks,
+    feed,
+    in_time,
+    jittered,
+    joint_messages,
+    pipeline_of,
+    regular,
+    seconds,
+)
 from .sent import CommandMessage, JointMessage, Message
 
 KP, KD = np.array([50.0, 80.0, 20.0]), np.array([1.0, 0.0, 3.0])
@@ -22,7 +34,7 @@ HOLD = 0.02  # [s]
 
 
 def controlled(delay: float = 0.0, cutoff: float = 5.0) -> SignalPipeline:
-    return SignalPipeline(
+    return pipeline_of(
         JOINTS, settings=SignalSettings(cutoff=cutoff), controller=PDController(KP, KD, round(1e9 * delay))
     )
 

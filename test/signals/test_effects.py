@@ -21,7 +21,7 @@ from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
 from . import feeding
-from .feeding import JOINTS, START, Motion, assert_same, feed, joint_messages, regular
+from .feeding import JOINTS, START, Motion, assert_same, feed, joint_messages, pipeline_of, regular
 from .sent import JointMessage
 
 COLUMNS = tuple(
@@ -36,7 +36,7 @@ def columns(position: FloatArray, velocity: FloatArray, acceleration: FloatArray
 
 
 def pipeline(period: float = 0.008) -> SignalPipeline:
-    return SignalPipeline(JOINTS, settings=SignalSettings(period=period), effect_columns=COLUMNS)
+    return pipeline_of(JOINTS, settings=SignalSettings(period=period), effect_columns=COLUMNS)
 
 
 def with_efforts(stamps: IntArray, efforts: FloatArray) -> list[JointMessage]:
@@ -67,7 +67,7 @@ def test_what_an_effect_remembers_does_not_depend_on_the_blocks_in_which_message
     found = []
     for count in (feeding.AT_ONCE, 7):
         monkeypatch.setattr(feeding, "AT_ONCE", count)
-        own = SignalPipeline(JOINTS, settings=SignalSettings(period=0.008), effect_columns=(column,))
+        own = pipeline_of(JOINTS, settings=SignalSettings(period=0.008), effect_columns=(column,))
         found.append(feed(own, with_efforts(stamps, truth)))
     assert_same(found[0], found[1], tolerance=1e-12)
     error = found[0].column(column) - found[0].effort
@@ -90,7 +90,7 @@ STAMPS = 1000.0 + 0.01 * np.arange(800)
 
 def samples(effort_delay: float, stamps: FloatArray, late: float) -> Samples:
     """One joint at ``sin(3 t)`` whose efforts ``cos(3 t)`` are recorded ``late`` [s]."""
-    pipeline = SignalPipeline(["a"], settings=SignalSettings(effort_delay=effort_delay))
+    pipeline = pipeline_of(["a"], settings=SignalSettings(effort_delay=effort_delay))
     messages = []
     for stamp in stamps:
         position, velocity = [np.sin(3.0 * stamp)], [3.0 * np.cos(3.0 * stamp)]

@@ -25,6 +25,7 @@ from .feeding import (
     feed,
     in_time,
     joint_messages,
+    pipeline_of,
     regular,
     without,
     wrench_messages,
@@ -37,7 +38,7 @@ NAN, INFINITY = float("nan"), float("inf")
 
 
 def pipeline(period: float = 0.01) -> SignalPipeline:
-    return SignalPipeline(JOINTS, sensors=[SENSOR], settings=SignalSettings(period=period), floating_base=True)
+    return pipeline_of(JOINTS, sensors=[SENSOR], settings=SignalSettings(period=period), floating_base=True)
 
 
 def poses() -> list[PoseMessage]:
@@ -191,7 +192,7 @@ def test_messages_behind_one_that_fails_are_counted() -> None:
         if accepted.stamps[0] == stamps[1]:
             raise ZeroDivisionError
 
-    unlucky = SignalPipeline(JOINTS, on_accepted=fail)
+    unlucky = pipeline_of(JOINTS, on_accepted=fail)
     messages = joint_messages(stamps)
     for message in messages[:3]:
         unlucky.push(message)

@@ -11,11 +11,10 @@ from scipy.signal import firwin
 from geomid_ros.errors import InputError
 from geomid_ros.signals import kernels
 from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
-from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import feed, jittered, regular, seconds
+from .feeding import feed, jittered, pipeline_of, regular, seconds
 from .sent import JointMessage
 
 CUTOFF = 5.0
@@ -26,7 +25,7 @@ def filtered(stamps: IntArray, values: FloatArray, rate: float) -> dict[str, Flo
     """Joints with positions ``(N, joints)`` through the pipeline: time [s] ``(M,)``; value, first and second
     derivative ``(M, joints)``. Efforts are the positions' negatives, and come out so."""
     names = tuple(f"joint{place}" for place in range(values.shape[1]))
-    pipeline = SignalPipeline(names, settings=SignalSettings(cutoff=CUTOFF, period=1.0 / rate))
+    pipeline = pipeline_of(names, settings=SignalSettings(cutoff=CUTOFF, period=1.0 / rate))
     messages = [JointMessage(int(t), names, row, [], -row) for t, row in zip(stamps, values, strict=True)]
     samples = feed(pipeline, messages)
     np.testing.assert_allclose(samples.effort, -samples.position, rtol=0, atol=1e-12 * np.max(np.abs(values)))
@@ -89,13 +88,13 @@ def test_polynomials_are_exact(stamps: IntArray) -> None:
 
 def test_the_lag_is_half_a_kernel() -> None:
     """Samples end where the later halves of two kernels (of motion, and of effects on it) meet the last data."""
-    pipeline = SignalPipeline(("joint",), settings=SignalSettings(cutoff=CUTOFF, period=0.01))
+    pipeline = pipeline_of(("joint",), settings=SignalSettings(cutoff=CUTOFF, period=0.01))
     stamps = regular(0.01, 4.0)
     samples = feed(pipeline, [JointMessage(int(t), ("joint",), [0.0], [], [0.0]) for t in stamps])
     trailing = (stamps[-1] - samples.stamps[-1]) * 1e-9
     assert pipeline.lag <= trailing <= pipeline.lag + 0.05
     assert pipeline.lag == pytest.approx((2.0 / CUTOFF + 0.03) + (0.5 / CUTOFF + 0.03), abs=0.011)
-    assert SignalPipeline(("joint",)).lag == 0.0
+    assert pipeline_of(("joint",)).lag == 0.0
 
 
 def test_too_coarse_a_grid_is_refused() -> None:
@@ -105,13 +104,13 @@ def test_too_coarse_a_grid_is_refused() -> None:
     with pytest.raises(InputError, match="or less; or stamps are not in seconds"):
         derivative_kernels(5.0, 1.0)  # 1 kHz in milliseconds
     with pytest.raises(InputError, match=r"or less$"):
-        SignalPipeline(("joint",), settings=SignalSettings(period=0.1))
+        pipeline_of(("joint",), settings=SignalSettings(period=0.1))
 
 
 @pytest.mark.parametrize("period", [0.02139, 0.03659, 0.0496, 0.08])
 def test_a_grid_just_fine_enough_is_accepted(period: float) -> None:
     """However the product of a rate and a cutoff at the limit is rounded."""
-    pipeline = SignalPipeline(("joint",), settings=SignalSettings(cutoff=5.0, period=period))
+    pipeline = pipeline_of(("joint",), settings=SignalSettings(cutoff=5.0, period=period))
     assert pipeline.lag > 0.4
 
 

@@ -17,7 +17,7 @@ from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
-from .feeding import assert_same, completed, feed, in_time, regular, seconds
+from .feeding import assert_same, completed, feed, in_time, pipeline_of, regular, seconds
 from .sent import ImuMessage, JointMessage, Message
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -54,7 +54,7 @@ def messages(scale: float = 1.0) -> list[Message]:
 
 def new_pipeline() -> SignalPipeline:
     settings = SignalSettings(period=0.01, cutoff=10.0)
-    return SignalPipeline(
+    return pipeline_of(
         ["joint"], floating_base=True, settings=settings, mount=ImuMount(np.eye(3), np.zeros(3), GRAVITY)
     )
 

@@ -12,7 +12,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
-from .feeding import JOINTS, Motion, assert_same, balanced, feed, in_time, joint_messages, regular
+from .feeding import JOINTS, Motion, assert_same, balanced, feed, in_time, joint_messages, pipeline_of, regular
 from .sent import JointMessage
 
 STAMPS = regular(0.01, 4.0)
@@ -20,7 +20,7 @@ WHOLE = joint_messages(STAMPS, velocity=True)
 
 
 def merging(*, merge: bool = True) -> SignalPipeline:
-    return SignalPipeline(JOINTS, settings=SignalSettings(period=0.01, merge=merge))
+    return pipeline_of(JOINTS, settings=SignalSettings(period=0.01, merge=merge))
 
 
 def only(message: JointMessage, *names: str) -> JointMessage:

@@ -18,6 +18,7 @@ from geomid_ros.signals import messages as module
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, AcceptedMessages, Recent, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 
+from .feeding import pipeline_of
 from .sent import JointMessage, WrenchMessage
 
 TYPES = {
@@ -61,7 +62,7 @@ def accepted(*parsed: Any) -> tuple[list[tuple[str, int, list[float]]], SignalPi
     """What a pipeline for joints a and b accepts, and the pipeline."""
     seen: list[AcceptedMessages] = []
     sensors = [WrenchSensor("/ft", "tool", "mounted")]
-    pipeline = SignalPipeline(["a", "b"], floating_base=True, sensors=sensors, on_accepted=seen.append)
+    pipeline = pipeline_of(["a", "b"], floating_base=True, sensors=sensors, on_accepted=seen.append)
     for message in parsed:
         pipeline.push(message)
     return [(each.topic, int(each.stamps[0]), each.values[0].tolist()) for each in seen], pipeline
@@ -107,7 +108,7 @@ START = 1_700_000_000_000_000_000
 
 def pipeline(recent: Recent | None = None) -> SignalPipeline:
     told = {"on_accepted": recent} if recent else {}
-    return SignalPipeline(("shoulder", "elbow"), sensors=[SENSOR], continuous=["elbow"], **told)
+    return pipeline_of(("shoulder", "elbow"), sensors=[SENSOR], continuous=["elbow"], **told)
 
 
 def feed(target: SignalPipeline, begin: int, end: int, start: int = START) -> None:

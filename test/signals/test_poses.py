@@ -12,11 +12,10 @@ import pytest
 from geomid_ros.model import se3
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import derivative_kernels
-from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import feed, in_time, regular, seconds
+from .feeding import feed, in_time, pipeline_of, regular, seconds
 from .sent import JointMessage, PoseMessage
 
 STAMPS = regular(0.01, 3.0)
@@ -31,7 +30,7 @@ def flown(trajectory: Trajectory, stamps: IntArray = STAMPS, factors: FloatArray
         pose[3:] *= factor
         poses.append(PoseMessage(int(stamp), pose))
     joints = [JointMessage(int(stamp), ("joint",), [0.0], [], [0.0]) for stamp in STAMPS]
-    pipeline = SignalPipeline(["joint"], floating_base=True, settings=SignalSettings(period=0.01))
+    pipeline = pipeline_of(["joint"], floating_base=True, settings=SignalSettings(period=0.01))
     return feed(pipeline, in_time(joints, poses))
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -45,23 +45,22 @@ class Shapes:
     some are ``missing`` their links."""
 
     geoms: dict[str, list[Element]] = field(default_factory=dict)
-    assets: list[Element] = field(default_factory=list)
+    assets: dict[tuple[str, str], Element] = field(default_factory=dict)
     missing: dict[str, list[str]] = field(default_factory=dict)
 
 
-def mjcf_shapes(urdf: str, path: Path, packages: Mapping[str, Path] = MappingProxyType({})) -> Shapes:
+def mjcf_shapes(urdf: str, source: Path, packages: Mapping[str, Path] = MappingProxyType({})) -> Shapes:
     """Convert the shapes of a URDF's links.
 
     Args:
         urdf: text of the URDF.
-        path: its file, above which meshes are searched.
+        source: its file, above which meshes are searched.
         packages: folders of meshes by package name.
     """
     from geomid_ros.files.shapes import MeshFinder  # noqa: PLC0415 it takes as long as all other imports
 
-    shapes, source, find = Shapes(), str(path), MeshFinder(path, packages).find
-    meshes: dict[tuple[str, str], str] = {}
-    for link in read_xml(urdf, source).findall("link"):
+    shapes, find = Shapes(), MeshFinder(source, packages).find
+    for link in read_xml(urdf, str(source)).findall("link"):
         name = link.get("name", "")
         for kind, attributes in _KINDS.items():
             for element in link.findall(kind):
@@ -71,7 +70,8 @@ def mjcf_shapes(urdf: str, path: Path, packages: Mapping[str, Path] = MappingPro
                     geom = Element("geom", attributes | pose | _shape(element, where))
                     mesh = element.find("geometry/mesh")
                     if mesh is not None:
-                        geom.set("mesh", _asset(shapes, meshes, mesh, where, find))
+                        path, scale = find(mesh.get("filename", ""), where), mesh.get("scale", "1 1 1")
+                        geom.set("mesh", _asset(shapes, path, scale, where))
                 except InputError as error:
                     shapes.missing.setdefault(str(error).removeprefix(f"{where}: "), []).append(name)
                 else:
@@ -102,18 +102,15 @@ def _shape(element: Element, where: str) -> dict[str, str]:
     return {"type": tag, "size": number_text(sizes)}
 
 
-def _asset(
-    shapes: Shapes, meshes: dict[tuple[str, str], str], mesh: Element, where: str, find: Callable[[str, str], Path]
-) -> str:
+def _asset(shapes: Shapes, path: Path, scale: str, where: str) -> str:
     """Name of a mesh among the assets, to which it is added once."""
-    path, scale = find(mesh.get("filename", ""), where), mesh.get("scale", "1 1 1")
     if path.suffix.lower() not in _READ_BY_MUJOCO:
         raise InputError(f"{where}: MuJoCo reads no {path.suffix}")
     key = str(path.resolve()), scale
-    if key not in meshes:
-        meshes[key] = f"{path.stem}_{len(meshes)}"
-        shapes.assets.append(Element("mesh", name=meshes[key], file=key[0], scale=scale))
-    return meshes[key]
+    if key not in shapes.assets:
+        name = f"{path.stem}_{len(shapes.assets)}"
+        shapes.assets[key] = Element("mesh", name=name, file=key[0], scale=scale)
+    return shapes.assets[key].get("name", "")
 
 
 def number_text(numbers: FloatArray | Sequence[float] | float) -> str:
@@ -205,7 +202,7 @@ class _Writer:
             bodies[_body_name(sensor.frame)].append(Element("site", name=sensor.topic))
             for kind in ("force", "torque"):
                 SubElement(section, kind, name=f"{sensor.topic}/{kind}", site=sensor.topic)
-        _add_all(root, "asset", shapes.assets)
+        _add_all(root, "asset", shapes.assets.values())
         for link, geoms in shapes.geoms.items():
             bodies[_body_name(link)].extend(geoms)
         return root
