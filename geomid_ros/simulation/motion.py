@@ -171,7 +171,7 @@ class RunTrace:
         return replace(self, commands=self.commands.select(np.s_[:, order]), **arrays)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class WalkTrace:
     """N samples of a walk: ``time (N,)``; ``position, velocity, effort (N, joints)``; ``angular_velocity`` and
     ``specific_force (N, 3)`` in the IMU's axes; ``contact (N, feet)``, normal forces [N], which are not recorded."""

@@ -108,10 +108,6 @@ class Motors:
     phase: FloatArray
     limit: FloatArray
 
-    def clipped(self, commanded: FloatArray) -> FloatArray:
-        """Commanded efforts ``(n,)``, clipped to the limits: the efforts that the currents show."""
-        return np.clip(commanded, -self.limit, self.limit)
-
     def unmeasured_effort(self, effort: FloatArray, position: FloatArray) -> FloatArray:
         """Cogging and ripple: efforts at the joints ``(n,)`` that the currents do not show."""
         angles = self.cycles * position + self.phase
@@ -383,7 +379,8 @@ class RealisticLoop(ControlLoop):
 
     def acceleration(self, half_step: int, position: FloatArray, velocity: FloatArray) -> FloatArray:
         truth = self.truth
-        effort = truth.motors.clipped(self.controller.effort(half_step, position, velocity))
+        commanded, limit = self.controller.effort(half_step, position, velocity), truth.motors.limit
+        effort = np.clip(commanded, -limit, limit)
         self.dry = truth.dry(velocity, position, effort)
         cold = truth.warm_up.cold(0.5 * half_step * self.step)
         friction = truth.friction.force(self.bend, velocity, self.dry, cold)

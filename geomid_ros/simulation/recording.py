@@ -168,13 +168,7 @@ def write_truth(path: Path, robot: TrueRobot, options: SimulationOptions, added:
 
 def link_entry(body: LinkInertia, moves: bool) -> dict[str, Any]:
     """Entry of a link in a file."""
-    return {
-        "name": body.name,
-        "mass": body.mass,
-        "com": body.com.tolist(),
-        "inertia": body.inertia.tolist(),
-        "moves": moves,
-    }
+    return {name: np.asarray(value).tolist() for name, value in vars(body).items()} | {"moves": moves}
 
 
 def write_gains(path: Path, joints: Sequence[str], controller: JointController) -> None:

@@ -231,8 +231,7 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
             rows.append((step * LONGEST_STEP, *state, data.actuator_force.copy(), *sensors, np.array(contacts)))
             if data.xmat[1, 8] < _UPRIGHT:
                 raise InputError(f"the robot falls after {step * LONGEST_STEP:.1f} s of {', '.join(options.gaits)}")
-    names = ("time", "position", "velocity", "effort", "angular_velocity", "specific_force", "contact")
-    return WalkTrace(**dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)))
+    return WalkTrace(*map(np.array, zip(*rows, strict=True)))
 
 
 def with_sensor_noise(trace: WalkTrace, options: WalkOptions) -> WalkTrace:
