@@ -190,8 +190,8 @@ NAMESAKES = {
     ("geomid_ros.exports.descriptions", "viscous_friction"),
     ("geomid_ros.checks.causes", "effort_gain"),
     ("geomid_ros.session.configuration", "effort_gain"),
-    ("geomid_ros.session.setup", "effort_gain"),
-    ("geomid_ros.session.setup", "effort_delay"),
+    ("geomid_ros.session.session", "effort_gain"),
+    ("geomid_ros.session.session", "effort_delay"),
 }
 OF_EFFECTS = "geomid_ros.model.effects"
 

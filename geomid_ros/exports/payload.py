@@ -21,8 +21,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.payload import WeighedPayload, identify_payload
-from geomid_ros.session.session import Session
-from geomid_ros.session.setup import LIGHT
+from geomid_ros.session.session import LIGHT, Session
 from geomid_ros.types import FloatArray
 
 _AS_INDEPENDENT = "± counts both estimates' errors as independent: too large if one started from the other"

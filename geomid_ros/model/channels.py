@@ -9,10 +9,7 @@ from geomid_ros.errors import InputError, check_name
 from geomid_ros.types import IntArray
 
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
-ROLES = {
-    "external": "a known load that the surroundings put on the robot (force plate, contact)",
-    "mounted": "a sensor inside the chain: the load that the part before it puts on all that comes after it",
-}
+ROLES = ("external", "mounted")
 WORLD_FRAMES = ("world", "map", "odom")  # names of the frame of a floating base's poses
 
 
@@ -24,7 +21,8 @@ class WrenchSensor:
         topic: ROS topic.
         frame: URDF link in whose frame, and about whose origin, the wrench is expressed; for a force plate (a fixed
             sensor under a floating base) one of :data:`WORLD_FRAMES`.
-        role: One of :data:`ROLES`.
+        role: ``external``: a known load that the surroundings put on the robot (force plate, contact); or ``mounted``,
+            a sensor inside the chain: the load that the part before it puts on all that comes after it.
         axes: Measured axes out of :data:`AXES`.
         sign: -1 if the sensor reports the opposite (reaction) wrench.
         offset: Known constant error, force [N] and torque [N m] in the frame: sign * reported wrench = true wrench +

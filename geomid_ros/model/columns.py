@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, TypeAlias
+from typing import ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
@@ -25,14 +25,11 @@ class JointColumn:
     """A per-joint function of the joint's motion."""
 
     function: JointFunction
+    place: ClassVar[Place] = OnRobot()
 
     def values(self, motion: Motion) -> FloatArray:
         """Return its values ``(N, J)``."""
         return self.function.column(motion)
-
-    def affected_joints(self, joints: int) -> tuple[int, ...]:
-        """Return the joints where it can be nonzero: all."""
-        return tuple(range(joints))
 
 
 @dataclass(frozen=True)
@@ -45,10 +42,6 @@ class PlacedColumn:
     def values(self, motion: Motion) -> FloatArray:
         """Return efforts ``(N, J)`` per unit of its coefficient."""
         return self.effect.efforts(motion, self.place)
-
-    def affected_joints(self, joints: int) -> tuple[int, ...]:
-        """Return the joints where it can be nonzero."""
-        return affected_joints(self.place, joints)
 
 
 Column: TypeAlias = JointColumn | PlacedColumn
@@ -105,7 +98,7 @@ class Entries:
     def _spans(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
         spans, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0
         for column in self.columns:
-            joints = column.affected_joints(self.joints)
+            joints = affected_joints(column.place, self.joints)
             spans[column] = slice(begin, begin + len(joints)), joints
             begin += len(joints)
         return spans

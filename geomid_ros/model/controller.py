@@ -12,20 +12,12 @@ from geomid_ros.options import numbers_in
 from geomid_ros.types import FloatArray
 
 
-@dataclass(frozen=True)
-class Gains:
-    """Gains of a joint's controller: ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m]."""
-
-    kp: float
-    kd: float
-
-    @staticmethod
-    def parse(text: str) -> Gains:
-        """Parse ``KP:KD``. Raises InputError."""
-        match numbers_in(text, ":"):
-            case [kp, kd] if kp > 0.0 and kd >= 0.0:
-                return Gains(kp, kd)
-        raise InputError(f"gains '{text}' are not of the form KP:KD, e.g. 20:0.5 [N m/rad, N m s/rad], KP above 0")
+def gains_of(text: str) -> tuple[float, float]:
+    """Parse gains of a joint's controller, ``KP:KD`` [N m/rad, N/m; N m s/rad, N s/m]. Raises InputError."""
+    match numbers_in(text, ":"):
+        case [kp, kd] if kp > 0.0 and kd >= 0.0:
+            return kp, kd
+    raise InputError(f"gains '{text}' are not of the form KP:KD, e.g. 20:0.5 [N m/rad, N m s/rad], KP above 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +32,8 @@ class PDController:
     delay: int = 0
 
     @staticmethod
-    def of(gains: Mapping[str, Gains], joints: Sequence[str], delay: float) -> PDController | None:
-        """Build from ``gains`` by joint (an empty name: all other joints) and a ``delay`` [s]; None without gains.
+    def of(gains: Mapping[str, tuple[float, float]], joints: Sequence[str], delay: float) -> PDController | None:
+        """Build from ``gains`` kp and kd by joint (an empty name: all others) and a ``delay`` [s]; None without gains.
 
         Raises InputError for an unknown joint or one without gains.
         """
@@ -53,7 +45,7 @@ class PDController:
         joint_gains = [gains.get(joint, gains.get("")) for joint in joints]
         if None in joint_gains:
             raise InputError(f"joint '{joints[joint_gains.index(None)]}' has no gains; give KP:KD for all joints")
-        kp, kd = np.array([(gain.kp, gain.kd) for gain in joint_gains if gain is not None]).T
+        kp, kd = np.array([gain for gain in joint_gains if gain is not None]).T
         return PDController(kp, kd, round(1e9 * delay))
 
     def efforts(self, commands: FloatArray, position: FloatArray, velocity: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.channels import AXES, WrenchSensor
-from geomid_ros.model.controller import Gains
+from geomid_ros.model.controller import gains_of
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
 from geomid_ros.model.moving_base import Contact
 from geomid_ros.model.weighed_masses import WeighedMass
@@ -329,10 +329,10 @@ class Configuration:
         return [*map(Contact.parse, self["contacts"])]
 
     @property
-    def gains(self) -> dict[str, Gains]:
-        """Gains by joint, those of all other joints under an empty name; none if efforts are measured."""
+    def gains(self) -> dict[str, tuple[float, float]]:
+        """Gains kp and kd by joint, those of all other joints under an empty name; none if efforts are measured."""
         texts = (entry.rpartition("=") for entry in self["command.gains"])
-        pairs = ((joint, naming("command.gains", Gains.parse, text)) for joint, _, text in texts)
+        pairs = ((joint, naming("command.gains", gains_of, text)) for joint, _, text in texts)
         return named_once("command.gains", pairs, "for each joint its own: JOINT=KP:KD")
 
     @property

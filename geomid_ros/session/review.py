@@ -28,13 +28,16 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.model.controller import PDController
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.shape_prior import OUTSIDE, Solid, UrdfInertial
 from geomid_ros.model.shape_prior import verdict as verdict_on_shape
 from geomid_ros.model.shapes import volume
 from geomid_ros.model.urdf_tree import inertial_parameters, read_xml
-from geomid_ros.session.setup import Setup
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.joint_gate import LEAP
 from geomid_ros.signals.ledger import Account, Ledger, Meaning, Reason, meaning_of
 from geomid_ros.signals.messages import IMU, message_type
@@ -167,15 +170,24 @@ def _solid(link: Element, source: str) -> Solid | None:
 class Review:
     """Checks of a robot's recordings as a whole, and their findings."""
 
-    def __init__(self, setup: Setup, ledger: Ledger) -> None:
-        """Begin without recordings of this ``setup``, whose messages the ``ledger`` counts."""
-        self._setup, self._model, self._robot, self._ledger = setup, setup.model, setup.robot, ledger
-        configuration, joints = setup.configuration, setup.robot.joint_names
+    def __init__(
+        self,
+        model: MeasurementModel,
+        loaded: LoadedModel,
+        configuration: Configuration,
+        controller: PDController | None,
+        ledger: Ledger,
+    ) -> None:
+        """Begin without recordings of this ``model``, which began with the ``loaded`` one; the ``ledger`` counts
+        messages."""
+        self._model, self._robot, self._loaded, self._ledger = model, model.robot, loaded, ledger
+        self._controller, self._has_imu = controller, bool(configuration["imu.frame"])
+        joints = self._robot.joint_names
         names = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
         gains = configuration.signals(joints).effort_gains(joints)
         # A separate model: checks run in another thread than rows, and pinocchio's buffers must not be shared.
-        model = setup.model.with_gravity(setup.robot.gravity)
-        self.new_check = partial(RecordingCheck, CheckTask(model, gains, names, setup.controller))
+        own = model.with_gravity(self._robot.gravity)
+        self.new_check = partial(RecordingCheck, CheckTask(own, gains, names, controller))
         """Creates a check of other recordings of this robot."""
         self.check = self.new_check()
         """Collects all samples, and checks them as a whole."""
@@ -205,9 +217,9 @@ class Review:
         stands on its legs, nothing can be identified."""
         if self._robot.floating_base or not self._imus:
             return ()
-        imu, setup, kept = self._imus[0], self._setup, self.check.recorded
-        locked, gravity = setup.locked_joints, self._robot.gravity
-        robot = Robot(setup.urdf, floating_base=True, locked_joints=locked, gravity=gravity, source=setup.source)
+        imu, fixed, kept = self._imus[0], self._robot, self.check.recorded
+        locked, gravity = [*fixed.locked_joints], fixed.gravity
+        robot = Robot(fixed.urdf, floating_base=True, locked_joints=locked, gravity=gravity, source=fixed.source)
         kind = "base"
         reason = "efforts are not those of a robot whose base is fixed: if the base moves, say"
         contacts = "FOOT:RADIUS,..."
@@ -249,7 +261,7 @@ class Review:
         """
         for finding in self.findings:
             if finding.cause.kind == "description":
-                raise InputError(f"{self._setup.source or self._robot.name}: {finding.cause.sentence}")
+                raise InputError(f"{self._robot.source or self._robot.name}: {finding.cause.sentence}")
 
     def check_separately(self) -> None:
         """Keep the findings so far; check later samples separately: an intended change between recordings is no
@@ -283,15 +295,15 @@ class Review:
         remarks = [*peculiarities(recorded.accounts), *self.remarks]
         if any(finding.cause.kind == "legs" for finding in findings):
             return replace(recording_verdict(findings, warnings=remarks), explains_all=True)
-        if self._setup.base_topic == IMU:
+        if self._has_imu:
             remarks += turned_imu(self._model, estimate)
             findings = findings or as_faults(displaced_imu(self._model, samples, estimate.parameters))
-        if (controller := self._setup.controller) is not None:
-            remarks += encoder_zeros(controller, estimate.effects, self._robot.joint_names)
+        if self._controller is not None:
+            remarks += encoder_zeros(self._controller, estimate.effects, self._robot.joint_names)
         remarks += unexplained_base(self._model, samples, estimate.parameters)
         remarks += never_lifted(self._model, estimate)
         remarks += [] if held_out is None else poorly_predicted(estimate, held_out)
-        impossible = tuple(impossible_links(self._setup.urdf, self._setup.source, self._suspects(estimate)))
+        impossible = tuple(impossible_links(self._robot.urdf, self._robot.source, self._suspects(estimate)))
         return verdict(
             estimate,
             findings,
@@ -314,12 +326,12 @@ class Review:
         """Sentences on what makes results doubtful: the initial model, the estimate and its verdict."""
         reasons = verdict.warnings if verdict is not None else ()
         sentences = [
-            self._setup.loaded.warning,
+            self._loaded.warning,
             *reasons,
             *self._incomplete,
             *self._robot.inertia_repairs.values(),
             _massless(self._robot.massless_links),
-            self._setup.loaded.not_predicted if estimate is not None else "",
+            self._loaded.not_predicted if estimate is not None else "",
         ]
         if estimate is not None and not (verdict is not None and verdict.explains_all):
             sentences += estimate.warnings

@@ -11,7 +11,7 @@ import pytest
 from new_effects.coaxial_friction import CoaxialFriction
 from new_effects.supply_sag import SupplySag
 
-from geomid_ros.model.columns import Column, Entries, JointColumn, PlacedColumn
+from geomid_ros.model.columns import Column, Entries, JointColumn, PlacedColumn, affected_joints
 from geomid_ros.model.effects import EFFECTS, AtJoint, AtJoints, Effect, Motion, OnRobot, identifiable
 from geomid_ros.model.effects.drive import (
     CROSSINGS,
@@ -111,7 +111,7 @@ def test_each_column_is_what_it_is_by_itself() -> None:
     assert len(entries) == 2 + 4 + 4 + 2 + 2 + 2 + 1, "only what a column reaches"
     for column in COLUMNS:
         np.testing.assert_array_equal(carried.column(column), column.values(MOTION))
-        for joint in column.affected_joints(4):
+        for joint in affected_joints(column.place, 4):
             entry = carried.effects[:, entries.at(column, joint)]
             np.testing.assert_array_equal(entry, column.values(MOTION)[:, joint])
 

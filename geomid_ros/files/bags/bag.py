@@ -48,9 +48,10 @@ class Bag:
         with ExitStack() as stack:
             with refusing(f"{path}: cannot be read as a rosbag2 recording", OSError):
                 files = _bag_files(path, stack)
-                for file in files.paths:
+            for file in files.paths:
+                with refusing(f"{file}: cannot be read as a rosbag2 recording", OSError):
                     self._storages.append(_FORMATS[files.suffix](file))
-                    stack.callback(self._storages[-1].close)
+                stack.callback(self._storages[-1].close)
             self._packed = files.packed
             self._storages.sort(key=lambda storage: storage.start or 0)  # by time, as they may be listed in any order
             cut = [storage.truncation for storage in self._storages if storage.truncation]

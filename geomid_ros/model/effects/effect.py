@@ -395,9 +395,10 @@ class SensorEffect(Effect):
     count = 6
     is_sensor_error = True
 
-    @abstractmethod
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:
-        """Return wrenches ``(..., axes, coefficients)`` in the sensor's frame per unit of each axis's coefficient."""
+        """Return wrenches ``(..., axes, coefficients)`` in the sensor's frame per unit of each axis's coefficient:
+        those of an offset, unless a class has others."""
+        return np.broadcast_to(np.eye(len(axes)), (*motion.position.shape[:-1], len(axes), len(axes)))
 
 
 class SituationEffect(Effect):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, JointEffect, MotionEffect, SensorEffect, SituationEffect
@@ -142,9 +140,6 @@ class WrenchOffset(SensorEffect):
     confusable_with_payload = True
     corrected_in_samples = True
 
-    def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:
-        return np.broadcast_to(np.eye(len(axes)), (*motion.position.shape[:-1], len(axes), len(axes)))
-
     @classmethod
     def wrench_shift(cls, values: Values) -> dict[str, float]:
         """Return the offset."""
@@ -164,9 +159,6 @@ class ImuOffset(SensorEffect):
     settled_by = "standing on level ground, and again turned by half a turn"
     place = "base"
     count = len(parameters)
-
-    def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:
-        return np.broadcast_to(np.eye(len(axes)), (*motion.position.shape[:-1], len(axes), len(axes)))
 
 
 class CommandDelay(MotionEffect):
