@@ -174,7 +174,7 @@ def _fit(
     rows = None if prior.constraints is None else prior.constraints(free.terms, free.point.reals)
     if rows is None or not len(rows):
         return free
-    return _free_fit(design, prior, chosen, free, prior_std, free.inflation, rows)
+    return _free_fit(design, prior, chosen, free, prior_std, free.inflation, constraints=rows)
 
 
 def _free_fit(
