@@ -174,7 +174,7 @@ def fit(
     prior_stds = problem.default_stds if prior_stds is None or problem.gamma is not None else prior_stds
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     # Near its fixed point the iteration is linear: it can be extrapolated, and one solver step per round is enough.
-    extrapolation, steps = None if start is None else Extrapolation(), 0
+    extrapolation, steps = None, 0
     for _ in range(ROUNDS):
         objective = _objective(problem, sigmas, prior_stds)
         most = max_steps if extrapolation is None else 1
