@@ -26,6 +26,7 @@ from geomid_ros.estimation.solvers import SOLVERS, Solution
 from geomid_ros.estimation.starting_point import channel_sizes
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.coefficients import Coefficient
@@ -35,7 +36,7 @@ from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_ro
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _TAKEN = 2.0  # standard deviations: a smaller effect is not significant
-_FAR = 2.0  # default prior std: a link with a larger fitted prior std is an outlier
+_FAR = 2.0  # default prior std: a link with a larger fitted prior std is an outlier; one farther away has a warning
 _SPENT = (
     "the solver ran out of steps before the prior stds of the links converged; masses are those of the last step; "
     "check that the URDF is this robot's and in SI units, and the signs of the efforts"
@@ -291,9 +292,20 @@ class _Minimum:
     def link_errors(self) -> uncertainty.Uncertainty:
         """Errors of the links: a positive coefficient near zero is no better known than a real one of its channel, and
         neither is a link that the data cannot tell from it."""
-        problem, assumed = self.fitted.problem, self.fitted.assumed_prior_stds
-        wider = np.append(assumed[problem.manifold.inertial], problem.default_coefficient_stds(self.solution.point))
-        return self.errors_for(np.maximum(wider, assumed))
+        return self._errors_with_default_stds(slice(self.fitted.problem.manifold.inertial.stop, None))
+
+    @cached_property
+    def effect_errors(self) -> uncertainty.Uncertainty:
+        """Errors of the effects: a real coefficient, and what the data cannot tell from it, is known to the size of its
+        first fit at best."""
+        return self._errors_with_default_stds(self.fitted.problem.manifold.real)
+
+    def _errors_with_default_stds(self, columns: slice) -> uncertainty.Uncertainty:
+        """Errors if these coefficients are known to their default prior std at best."""
+        problem, stds = self.fitted.problem, self.fitted.assumed_prior_stds.copy()
+        default = np.append(stds[problem.manifold.inertial], problem.default_coefficient_stds(self.solution.point))
+        stds[columns] = np.maximum(stds[columns], default[columns])
+        return self.errors_for(stds)
 
 
 def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
@@ -345,7 +357,9 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
     problem, point = fitted.problem, solution.point
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
     steps = _grid_steps(columns, whole, fitted, point)
-    errors, link_errors = (found.with_unknown_constants(steps) for found in (minimum.errors, minimum.link_errors))
+    errors, link_errors, effect_errors = (
+        found.with_unknown_constants(steps) for found in (minimum.errors, minimum.link_errors, minimum.effect_errors)
+    )
     parameters = np.zeros(whole.model.dimension)
     parameters[columns] = point.parameters
     factor = np.sqrt(min(errors.independent_fraction, problem.independent_fraction))
@@ -362,7 +376,7 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         links=estimate_parts.links(
             problem, point, link_errors, _outliers(fitted), _stds_of_far_links(problem, point, information, link_errors)
         ),
-        effects=estimate_parts.effects(problem, point, errors),
+        effects=estimate_parts.effects(problem, point, effect_errors),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),
@@ -375,7 +389,7 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         targets=frozen(factor * fitted.rows[1]),
         known=estimate_parts.weighed(problem, point, errors),
         warnings=(
-            *_outlier_warnings(model, fitted, point),
+            *_far_warnings(model, fitted, point),
             *([_SPENT] if fitted.budget_exhausted else []),
             *notes,
         ),
@@ -424,16 +438,19 @@ def _stds_of_far_links(
     return np.where(is_far[:, None], stds, 0.0)
 
 
-def _outlier_warnings(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
-    """Yield a warning with all links that left their priors, if any."""
+def _far_warnings(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
+    """Yield a warning with all links that are far from their priors, if any: beyond :data:`_FAR` times what is expected
+    of all their coordinates together, even if they moved in one direction only."""
     pairs = zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
-    ratios, changes = fitted.prior_stds / fitted.problem.default_stds, list[str]()
-    for name, outlier, ratio, (before, after) in zip(model.body_names, _outliers(fitted), ratios, pairs, strict=True):
-        if outlier:
+    off = fitted.problem.manifold.log(fitted.problem.prior_point, point)[fitted.problem.manifold.inertial]
+    distances = np.linalg.norm(off.reshape(-1, spd.SIZE), axis=1) / fitted.problem.default_stds
+    changes = list[str]()
+    for name, distance, (before, after) in zip(model.body_names, distances, pairs, strict=True):
+        if distance > _FAR * np.sqrt(spd.SIZE):
             moved = f"from {before[3, 3]:.3g} to {after[3, 3]:.3g} kg"
             if abs(np.log(after[3, 3] / before[3, 3])) < WITHIN:
                 moved = "in centre of mass or inertia"
-            changes.append(f"'{name}' {moved} ({ratio:.1f} default prior std)")
+            changes.append(f"'{name}' {moved} ({distance:.0f} default prior std)")
     if changes:
         yield (
             f"links far from the URDF: {', '.join(changes)}; its inertias are wrong or placeholders, or these links "

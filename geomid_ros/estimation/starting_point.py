@@ -109,16 +109,26 @@ def prior_inertias(model: MeasurementModel, given: FloatArray | None) -> FloatAr
 
 
 def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatArray | None) -> FloatArray:
-    """Parameters of the prior ``(D,)``.
-
-    These are the ``given`` ones ``(D,)`` where they are not NaN. Else they are the URDF's inertias, and for effects the
-    non-negative least-squares fit of each joint's effects alone to what the inertias leave unexplained. No CAD file
-    knows a joint's friction, and the metric on positive coefficients is relative, so that their prior must have the
-    right order of magnitude. If a joint hardly moves, the URDF's friction stays. Errors of sensors are expected to be
-    zero.
+    """Parameters of the prior ``(D,)``: the ``given`` ones ``(D,)`` where they are not NaN, else those of
+    :func:`first_fit`. Errors of sensors are expected to be zero.
 
     Raises:
         InputError: ``given`` is no point of the model's manifold.
+    """
+    parameters = first_fit(model, summary, given)
+    parameters[len(model.nominal_inertias) :][np.isfinite(_expected_shares(model, given))] = 0.0
+    return parameters if given is None else np.where(np.isfinite(given), given, parameters)
+
+
+def first_fit(model: MeasurementModel, summary: RowSummary, given: FloatArray | None) -> FloatArray:
+    """Parameters ``(D,)`` with the inertias of the prior, and effects that are fitted to what these leave unexplained.
+
+    This is the non-negative least-squares fit of each joint's effects alone. No CAD file knows a joint's friction, and
+    the metric on positive coefficients is relative, so that their prior must have the right order of magnitude. If a
+    joint hardly moves, the URDF's friction stays.
+
+    Raises:
+        InputError: the ``given`` prior ``(D,)`` is no point of the model's manifold.
     """
     first = len(model.nominal_inertias)
     parameters = np.append(prior_inertias(model, given), model.nominal_parameters[first:])
@@ -138,9 +148,6 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
             chosen < first + model.positives,
             described[chosen - first],
         )
-    parameters[first:][np.isfinite(_expected_shares(model, given))] = 0.0
-    if given is not None:
-        parameters = np.where(np.isfinite(given), given, parameters)
     return parameters
 
 

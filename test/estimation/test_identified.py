@@ -11,7 +11,7 @@ import pytest
 from files.estimates import estimate_of, link_estimate
 from files.recordings import BAGS
 
-from estimation.arms import arm, summary
+from estimation.arms import arm, motion, samples, summary
 from geomid_ros.estimation.estimate import (
     QUANTITIES,
     Estimate,
@@ -25,6 +25,7 @@ from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.suggested_motions import FAST, POSES, TILTED, suggested_motions
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
+from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.weighed_masses import WeighedMass
@@ -98,6 +99,28 @@ def test_links_that_left_their_priors_are_in_one_warning() -> None:
     for number in (2, 3):
         assert re.search(rf"'link{number}' from \S+ to \S+ kg \(\S+ default prior std\)", warning)
     assert not solved(1.0).warnings
+
+
+HOIST = """<robot name="hoist"><link name="frame"/><link name="hook"><inertial><mass value="60"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<joint name="lift" type="prismatic"><parent link="frame"/><child link="hook"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="1000" velocity="1"/></joint></robot>"""
+
+
+def test_a_counterweight_may_be_a_link_that_is_too_light_and_is_not_kept_silent() -> None:
+    """No motion tells them apart: 48 kg beside a counterweight of 33 kg, whose weight is an offset of the effort, feel
+    as 15 kg beside a heavier rotor do."""
+    model = MeasurementModel(Robot(HOIST), [identifiable()[name] for name in ("rotor_inertia", "effort_offset")])
+    moving = motion(np.random.default_rng(0), 1, 20.0)
+    true = np.concatenate([48.0 / 60.0 * model.nominal_inertias, [33.0 + 20.0, -33.0 * 9.81]])
+    rows = model.rows(samples(moving, np.zeros((len(moving), 1))))
+    noise = np.random.default_rng(1).normal(size=rows.targets.shape)
+    found = estimate(model, summary(model, rows.coefficients, rows.coefficients @ true + noise), EstimatorSettings())
+    (hook,), effects = found.links, {effect.name: effect for effect in found.effects}
+    assert abs(hook.mass - 48.0) < 4.0 * hook.std_mass
+    assert abs(effects["rotor_inertia"].value - 53.0) < 4.0 * effects["rotor_inertia"].std
+    assert abs(effects["effort_offset"].value + 33.0 * 9.81) < 4.0 * effects["effort_offset"].std
+    assert any("'hook' from 60 to" in text for text in found.warnings)
 
 
 def test_the_prior_that_grew_is_not_what_the_data_are_compared_with() -> None:
