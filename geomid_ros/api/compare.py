@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from math import nan
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -112,7 +113,7 @@ def compare(options: CompareOptions) -> Comparison:
     _check_same_robot(sides, values)
     doubts = [doubt for result in results for doubt in result.doubts]
     status = max(result.judgement.status for result in results)
-    errors = [side.rms.held_out or side.rms.train if isinstance(side, EstimateFile) else {} for side in sides]
+    errors = [_stated_errors(side, results[0]) for side in sides]
     units = {row.channel: row.unit for result in results for row in result.channels}
     if options.bag:
         predicted = [_errors_on_bags(side, options) for side in sides]
@@ -143,6 +144,15 @@ def compare(options: CompareOptions) -> Comparison:
 
 _Side: TypeAlias = EstimateFile | ExportModel
 """One side of a comparison: a result, or a URDF."""
+
+
+def _stated_errors(side: _Side, result: EstimateFile) -> Mapping[str, float]:
+    """Residual RMS by channel as stated in results; none of a URDF, unless the ``result`` was identified from it."""
+    if isinstance(side, EstimateFile):
+        return side.rms.held_out or side.rms.train
+    digest = sha256(side.urdf.encode(errors="replace")).hexdigest()
+    given = digest in str(result.origin.get("files"))  # this entry is for people: a file may have anything there
+    return {row.channel: row.urdf for row in result.channels} if given else {}
 
 
 def _robot(side: _Side) -> str:

@@ -144,6 +144,16 @@ def test_a_result_is_as_a_urdf_with_its_inertias_but_for_a_number_that_was_chang
     assert not any(each.parameter == "mass" for each in found.differing)
 
 
+def test_the_error_of_the_urdf_that_was_identified_from_is_stated(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    channels = json.loads(halves[0].read_text())["channels"]
+    found = geomid_ros.compare(ARM7, halves[0])
+    assert {e.name: (e.first, e.second) for e in found.errors} == {
+        row["channel"]: (row["urdf"], row["identified"]) for row in channels
+    }
+    (tmp_path / "other.urdf").write_text(heavier(ARM7, LINK, 1.5))
+    assert all(np.isnan(e.first) for e in geomid_ros.compare(tmp_path / "other.urdf", halves[0]).errors)
+
+
 def test_both_predict_a_recording(halves: tuple[Path, Path]) -> None:
     """As 'verify' does: a result by its model, a URDF without friction by its inertias alone. The identified URDF has
     friction, but lacks offsets and rotor inertias: worse than the estimate, better than no friction."""
