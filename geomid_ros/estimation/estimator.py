@@ -389,6 +389,7 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         targets=frozen(factor * fitted.rows[1]),
         known=estimate_parts.weighed(problem, point, errors),
         warnings=(
+            *_still_warnings(model, summary),
             *_far_warnings(model, fitted, point),
             *([_SPENT] if fitted.budget_exhausted else []),
             *notes,
@@ -470,11 +471,18 @@ def _known_sigmas(model: MeasurementModel, settings: EstimatorSettings, summary:
     """Standard deviations ``(channels,)`` that are not estimated, NaN elsewhere: the configured ones, and those of
     joints that never moved. Their dry friction keeps one unknown value, as large as the effort at most, so all of their
     rows together count as one row of that standard deviation."""
-    *moving, rest = summary.counts().reshape(REGIMES, -1)
+    rest = summary.counts().reshape(REGIMES, -1)[-1]
     common = channel_sizes(summary, model.dimension) * np.sqrt(filtered_fraction(summary, settings.cutoff) * rest)
-    still = (rest > 0.0) & ~np.any(moving, axis=0)
     configured = _configured_sigmas(model, settings)
-    return np.where(still & np.isnan(configured), common, configured)
+    return np.where(summary.never_moved & np.isnan(configured), common, configured)
+
+
+def _still_warnings(model: MeasurementModel, summary: RowSummary) -> Iterator[str]:
+    """Yield a warning with all joints that never moved beside others that did, if any."""
+    still = summary.never_moved
+    names = [repr(channel.name) for channel, each in zip(model.channels, still, strict=True) if each]
+    if names and not np.all(still):
+        yield f"never moved: {', '.join(names)}; friction and rotor inertia are unknown there; record them in motion"
 
 
 def _geodesic_objective(fitted: Fit) -> GeodesicObjective:

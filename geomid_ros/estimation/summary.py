@@ -202,6 +202,12 @@ class RowSummary:
         """Sums of the row weights per group."""
         return np.array([sum(part.count for part in by_fold) for by_fold in self.parts()])
 
+    @property
+    def never_moved(self) -> BoolArray:
+        """True for each channel that is measured at rest alone ``(channels,)``."""
+        *moving, rest = self.counts().reshape(REGIMES, -1)
+        return np.asarray((rest > 0.0) & ~np.any(moving, axis=0))
+
     def with_columns(self, channels: Sequence[Channel], chosen: IntArray) -> RowSummary:
         """Copy with only the ``chosen`` of the D parameters; ``channels``: the channels with the remaining columns."""
         copy = self._copy(channels)
