@@ -272,26 +272,30 @@ def changed_links(
 
 @dataclass(frozen=True, eq=False)
 class _LinkChanges:
-    """Least squares in tangent coordinates at the first result, for its links and the changes of some of them. The
-    prior std of a coordinate is 1: a change of the size of the body itself."""
+    """Least squares for the links and the changes of some of them. The prior std is 1 in tangent coordinates: at the
+    first result for the links, and at the mean of both for a change. It may be far larger than the link was, as a
+    payload on a wrist is, but a link loses no more than it has."""
 
     first: LinkEvidence
     second: LinkEvidence
 
     @cached_property
-    def _jacobian(self) -> FloatArray:
-        """Derivative ``(links, 10, 10)`` of each link's parameters by its coordinates."""
-        manifold = ParameterManifold(len(self.first.parameters), 0, np.zeros(0))
-        return manifold.point(self.first.parameters.ravel()).links_jacobian
+    def _jacobians(self) -> tuple[FloatArray, FloatArray]:
+        """Derivatives ``(links, 10, 10)`` of each link's parameters by its coordinates, and by those of its change."""
+        before, after = self.first.parameters, self.second.parameters
+        manifold = ParameterManifold(len(before), 0, np.zeros(0))
+        links, changes = (manifold.point(bodies.ravel()).links_jacobian for bodies in (before, 0.5 * (before + after)))
+        return links, changes
 
     @cached_property
     def _whitened(self) -> list[tuple[FloatArray, FloatArray]]:
         """Per result, rows ``(10 links, 10 links)`` of the coordinates, and residuals at the first result."""
         both = []
         for evidence in (self.first, self.second):
-            rows, offset = evidence.information.rows, (self.first.parameters - evidence.parameters).ravel()
-            blocks = np.einsum("nli,lij->nlj", rows.reshape(len(rows), -1, SIZE), self._jacobian)
-            both.append((blocks.reshape(rows.shape), evidence.information.residuals + rows @ offset))
+            offset = (self.first.parameters - evidence.parameters).ravel()
+            information = evidence.information
+            rows = _by_links(information.rows, self._jacobians[0])
+            both.append((rows, information.residuals + information.rows @ offset))
         return both
 
     def solved(self, changed: Sequence[int]) -> tuple[float, FloatArray, FloatArray]:
@@ -302,7 +306,8 @@ class _LinkChanges:
         size = before.shape[1]
         unchanged = np.column_stack([before, np.zeros((len(before), len(columns)))])
         prior = np.eye(size + len(columns))
-        rows = np.concatenate([unchanged, np.column_stack([after, after[:, columns]]), prior])
+        changes = _by_links(self.second.information.rows, self._jacobians[1])[:, columns]
+        rows = np.concatenate([unchanged, np.column_stack([after, changes]), prior])
         targets = np.concatenate([-residual, -other, np.zeros(len(prior))])
         orthogonal, triangle = np.linalg.qr(rows)
         projected = orthogonal.T @ targets
@@ -316,8 +321,13 @@ class _LinkChanges:
         _, changes, covariance = self.solved(changed)
         increases = []
         for place, link in enumerate(changed):
-            block, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
+            block, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobians[1][link][: len(_UNITS)]
             std = np.sqrt(np.diag(rows @ covariance[block, block] @ rows.T))
             values = (rows @ changes[block]).tolist()
             increases.append([Quantity(*entry) for entry in zip(values, std.tolist(), _UNITS, strict=True)])
         return increases
+
+
+def _by_links(rows: FloatArray, jacobians: FloatArray) -> FloatArray:
+    """Rows ``(N, 10 links)`` by the links' coordinates; ``jacobians (links, 10, 10)``."""
+    return np.asarray(rows.reshape(len(rows), -1, 1, SIZE) @ jacobians).reshape(rows.shape)
