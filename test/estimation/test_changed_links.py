@@ -63,6 +63,19 @@ def test_two_links_that_changed_are_both_named() -> None:
     assert {each.link for each in found(5, {0: 1.3, 2: 0.7})} == {"upper", "hand"}
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_payload_far_larger_than_its_link_is_not_shared_out(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    before, rows = bodies(random), of_combinations(random)
+    after = before.copy()
+    after[2] += pseudo_inertia.assemble(np.array(8.0), np.array([0.0, 0.1, 0.8]), 0.05 * np.eye(3))
+    results = [measured(own, rows, random, own) for own in (before, after)]
+    for sign, pair in ((1.0, results), (-1.0, results[::-1])):
+        (changed,) = changed_links(NAMES, *pair, LIMIT, ALIKE)
+        assert changed.link == "hand"
+        assert abs(changed.mass.value - sign * 8.0) < 4.0 * changed.mass.std
+
+
 def test_nothing_is_named_where_nothing_changed() -> None:
     """In 5 % of all cases at most; what is counted is binomial."""
     named = sum(bool(found(seed, {})) for seed in range(SEEDS))
