@@ -127,7 +127,10 @@ class Identification:
     def _urdf_test(self) -> FileTest | None:
         """Prediction error of identified.urdf, if :attr:`written` is another file."""
         urdf = DescriptionTest(self.session, self.estimate, URDF)
-        return None if self.written.name == urdf.name else urdf.evaluate(self.judged, self.rms)
+        if self.written.name == urdf.name:
+            return None
+        test = urdf.evaluate(self.judged, self.rms)
+        return replace(test, fuller_file=self.written.name) if self.reader in test.fuller else test
 
     @cached_property
     def train(self) -> Sequence[Samples]:

@@ -249,6 +249,7 @@ class FileTest:
         added: effects of the file that the estimate has not, in words.
         bent: links of the file whose masses are not the estimate's, in words.
         fuller: readers of the formats that can represent most of them, if these can represent more.
+        fuller_file: file beside it that is in such a format; empty if there is none.
     """
 
     name: str
@@ -261,6 +262,7 @@ class FileTest:
     added: Sequence[str] = ()
     bent: Sequence[str] = ()
     fuller: Sequence[str] = ()
+    fuller_file: str = ""
 
     @property
     def sentence(self) -> str:
@@ -314,7 +316,8 @@ class FileTest:
     @property
     def _advice(self) -> str:
         """Advice against a format that lacks effects."""
-        return f"--for {' or '.join(self.fuller)} holds more of them" if self.fuller else _NO_FORMAT
+        fuller = self.fuller_file or f"--for {' or '.join(self.fuller)}"
+        return f"{fuller} holds more of them" if self.fuller else _NO_FORMAT
 
     @property
     def _degraded(self) -> dict[str, list[str]]:

@@ -260,6 +260,7 @@ def test_the_urdf_beside_another_file_is_tested_too(factor: float) -> None:
     result = replace(found(), reader="mujoco", estimate=replace(estimate, within=within))
     bad = [warning for warning in result.verdict.warnings if warning.startswith("identified.urdf ")]
     assert len(bad) == (factor > 1.0)
+    assert all(warning.endswith("; identified.xml holds more of them") for warning in bad)
     assert result.verdict.word == "usable", "the file that was asked for is as good as before"
 
 
