@@ -292,20 +292,21 @@ class _Minimum:
     def link_errors(self) -> uncertainty.Uncertainty:
         """Errors of the links: a positive coefficient near zero is no better known than a real one of its channel, and
         neither is a link that the data cannot tell from it."""
-        return self._errors_with_default_stds(slice(self.fitted.problem.manifold.inertial.stop, None))
+        return self.errors_for(self.link_prior_stds)
 
-    @cached_property
-    def effect_errors(self) -> uncertainty.Uncertainty:
-        """Errors of the effects: a real coefficient, and what the data cannot tell from it, is known to the size of its
-        first fit at best."""
-        return self._errors_with_default_stds(self.fitted.problem.manifold.real)
+    @property
+    def link_prior_stds(self) -> FloatArray:
+        """Prior std ``(D,)`` of :attr:`link_errors`."""
+        problem, assumed = self.fitted.problem, self.fitted.assumed_prior_stds
+        wider = np.append(assumed[problem.manifold.inertial], problem.default_coefficient_stds(self.solution.point))
+        return np.maximum(wider, assumed)
 
-    def _errors_with_default_stds(self, columns: slice) -> uncertainty.Uncertainty:
-        """Errors if these coefficients are known to their default prior std at best."""
-        problem, stds = self.fitted.problem, self.fitted.assumed_prior_stds.copy()
-        default = np.append(stds[problem.manifold.inertial], problem.default_coefficient_stds(self.solution.point))
-        stds[columns] = np.maximum(stds[columns], default[columns])
-        return self.errors_for(stds)
+    def stated_errors(self, prior_stds: FloatArray) -> uncertainty.Uncertainty:
+        """Errors for such a prior ``(D,)``, but with real coefficients known to the size of their first fit at best:
+        where the data cannot tell an offset from a link, it may be all that the link's prior leaves."""
+        problem, wider = self.fitted.problem, prior_stds.copy()
+        wider[problem.manifold.real] = np.maximum(wider[problem.manifold.real], problem.first_fit_sizes)
+        return self.errors_for(wider)
 
 
 def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
@@ -357,8 +358,10 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
     problem, point = fitted.problem, solution.point
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
     steps = _grid_steps(columns, whole, fitted, point)
-    errors, link_errors, effect_errors = (
-        found.with_unknown_constants(steps) for found in (minimum.errors, minimum.link_errors, minimum.effect_errors)
+    errors = minimum.errors.with_unknown_constants(steps)
+    link_errors, effect_errors = (
+        minimum.stated_errors(stds).with_unknown_constants(steps)
+        for stds in (minimum.link_prior_stds, fitted.assumed_prior_stds)
     )
     parameters = np.zeros(whole.model.dimension)
     parameters[columns] = point.parameters

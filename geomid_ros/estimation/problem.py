@@ -84,19 +84,21 @@ class Problem:
         """Default prior std ``(coefficients,)`` of the coefficients, in tangent coordinates at a point.
 
         The prior std of a positive coefficient is relative to its value. Near zero that is too small: it is no better
-        known than a real coefficient of its channel. A real coefficient is known to the size of its first fit at best,
-        as positive ones are: where the data cannot tell it from a link, it may be all that the link's prior leaves.
+        known than a real coefficient of its channel. A real coefficient whose prior is a first fit is known to its own
+        size at best, as positive ones are.
         """
         positive, real = np.split(self.prior_stds[self.manifold.inertial.stop :], [self.model.positives])
         least = DEFAULT_PRIOR_STD * self.scales[: self.model.positives] / point.positives
-        return np.concatenate([np.maximum(positive, least), np.maximum(real, self._first_reals / self.manifold.scales)])
+        fitted = np.abs(self.prior_point.reals) / self.manifold.scales if self.given_parameters is None else 0.0
+        return np.concatenate([np.maximum(positive, least), np.maximum(real, fitted)])
 
     @cached_property
-    def _first_reals(self) -> FloatArray | float:
-        """Sizes of the real coefficients in the first fit; zero if the prior is given."""
+    def first_fit_sizes(self) -> FloatArray:
+        """Sizes of the real coefficients in the first fit, tangent coordinates; zero if a prior is given."""
+        scales = self.manifold.scales
         if self.given_parameters is not None:
-            return 0.0
-        return np.abs(first_fit(self.model, self.summary, None)[-len(self.manifold.scales) or self.model.dimension :])
+            return np.zeros(len(scales))
+        return np.abs(first_fit(self.model, self.summary, None)[self.manifold.real]) / scales
 
     @cached_property
     def prior_stds(self) -> FloatArray:
