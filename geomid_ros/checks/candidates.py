@@ -44,7 +44,6 @@ class FaultCandidate:
             the measured numbers, see :meth:`EffortData.in_units`.
         sizes: ``(C,)`` sizes of the factors on efforts that undo it, one by default.
         sources: ``(C,)`` the measured channel of each evaluated one.
-        changes_all: True if it changes all channels, not only those of its places.
         may_be_named: True if it may be named; otherwise it only explains what others would be named for.
         needs_no_evidence: True if other knowledge than the evidence settles it.
         begins_during_recording: True if it begins during the recording: then alternate stretches of time are its parts.
@@ -55,7 +54,6 @@ class FaultCandidate:
     fit_corrected: Callable[[EffortData], Evidence] | None = None
     sizes: FloatArray | None = None
     sources: IntArray | EllipsisType = ...
-    changes_all: bool = False
     may_be_named: bool = True
     needs_no_evidence: bool = False
     begins_during_recording: bool = False
@@ -107,12 +105,12 @@ class CandidateTest:
 
     @property
     def is_accepted(self) -> bool:
-        """True if it repeats and makes no channel much worse, or needs no evidence."""
+        """True if it repeats, and no channels contradict it together with those of larger efforts; or if it needs no
+        evidence."""
         if self.candidate.needs_no_evidence:
             return True
-        better = self.channel_gains
-        worse = (better < 0.0) & (self.candidate.changes_all | np.isin(self.subject.names, self.cause.places))
-        return -float(np.sum(better, where=worse)) <= LEAST_SIGMA * self.gain and self.repeats
+        by_size = np.cumsum(self.channel_gains[np.argsort(-self.subject.relative_std[self.candidate.sources])])
+        return not is_probable(-float(np.min(by_size)), 1) and self.repeats
 
     @property
     def has_plausible_links(self) -> bool:
@@ -206,7 +204,7 @@ def contradicted(doubted: Iterable[CandidateTest], count: int) -> list[Cause]:
         count: number of causes that they are chosen from.
     """
     for one in doubted:
-        counts = (one.channel_gains > 0.0) & one.subject.has_large_efforts
+        counts = (one.channel_gains > 0.0) & (one.subject.relative_std > LEAST_SIGMA)
         if is_probable(float(np.sum(one.channel_gains[counts])), count) and one.repeats:
             names = [one.subject.names[channel] for channel in np.flatnonzero(counts)]
             return [Cause.of("unexplained", names, nearest=one.cause.sentence)]

@@ -32,14 +32,12 @@ Columns: TypeAlias = Callable[[EffortData], FloatArray]
 @dataclass(frozen=True, eq=False)
 class _Kind:
     """A possible change: its ``columns``; its ``cause``, made from a fit and its time of beginning, None if it is too
-    small. ``grows``: True if it may be gradual. ``first``: True if it is there from the beginning, until some sample.
-    ``changes_all``: True if it changes all channels."""
+    small. ``grows``: True if it may be gradual. ``first``: True if it is there from the beginning, until some time."""
 
     columns: Columns
     cause: Callable[[EvidenceGain, str], Cause | None]
     grows: bool = False
     first: bool = False
-    changes_all: bool = False
 
     def onset(self, subject: EffortData, place: float) -> FloatArray:
         """Columns from a ``place`` on, or until it, or growing gradually if it is NaN."""
@@ -81,7 +79,7 @@ def _candidate(kind: _Kind, place: float, main: int, cause: Cause) -> FaultCandi
         beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
         return _judged(subject, beyond, slice(main, main + 1))
 
-    return FaultCandidate(fit_corrected=undo, cause=cause, changes_all=kind.changes_all, begins_during_recording=True)
+    return FaultCandidate(fit_corrected=undo, cause=cause, begins_during_recording=True)
 
 
 def _judged(subject: EffortData, gain: EvidenceGain, main: slice) -> Evidence:
@@ -140,7 +138,7 @@ def _kinds(subject: EffortData) -> Iterator[_Kind]:
     for place, body in enumerate(subject.robot.bodies):
         if len(subject.robot.subtree(body.name)) == 1:
             yield _load(subject, place, body.name, payload_factor(bodies, place))
-    yield _Kind(lambda of: TILT * _by_position(of), slip, True, changes_all=True)
+    yield _Kind(lambda of: TILT * _by_position(of), slip, True)
 
 
 def _load(subject: EffortData, place: int, link: str, factor: FloatArray) -> _Kind:

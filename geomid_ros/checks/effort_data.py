@@ -183,10 +183,10 @@ class EffortData:
         return np.asarray(np.std(self.measured, axis=0))
 
     @property
-    def has_large_efforts(self) -> BoolArray:
-        """True if efforts vary by a good part of the largest variation in their unit ``(C,)``: those of a wrist are
-        often mostly friction and noise."""
-        return np.asarray(self.measured_std > LEAST_SIGMA * largest_of_unit(self.measured_std, self.units))
+    def relative_std(self) -> FloatArray:
+        """Standard deviations of the efforts over the largest in their unit ``(C,)``; small ones, as those of a wrist,
+        are often mostly friction and noise."""
+        return np.asarray(self.measured_std / largest_of_unit(self.measured_std, self.units))
 
     @cached_property
     def pairs(self) -> tuple[IntArray, IntArray]:

@@ -305,7 +305,7 @@ def _names(subject: EffortData) -> Iterator[FaultCandidate]:
         cause = Cause.of("names", [name for end in zip(*both, strict=True) for name in end], pairs=described)
 
         reordered = partial(Samples.with_joints, order=order)
-        yield replace(_of_motion(reordered, cause), sources=sources, changes_all=False)
+        yield replace(_of_motion(reordered, cause), sources=sources)
 
 
 def _positions(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -339,9 +339,7 @@ def _in_unit(
 
 def _of_motion(change: Callable[[Samples], Samples], cause: Cause) -> FaultCandidate:
     """Candidate whose changed samples are those of this robot."""
-    return FaultCandidate(
-        corrected=lambda subject: subject.with_samples(change(subject.samples)), cause=cause, changes_all=True
-    )
+    return FaultCandidate(corrected=lambda subject: subject.with_samples(change(subject.samples)), cause=cause)
 
 
 def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0, rate: float = 1.0) -> Samples:
@@ -388,7 +386,7 @@ def _at_rate(
         judged = timed.in_units(subject.measured_std).nominal
         return replace(judged, log_evidence=judged.log_evidence - least_gain(subject))
 
-    return FaultCandidate(fit_corrected=undo, cause=cause, changes_all=True)
+    return FaultCandidate(fit_corrected=undo, cause=cause)
 
 
 def _zeros(subject: EffortData) -> Iterator[FaultCandidate]:
@@ -470,7 +468,7 @@ def _zero(subject: EffortData, joint: int, sign: float, start: float) -> FaultCa
         addition = "" if abs(turn) < 5.0 else f", and {text} to be added to its positions then"
         return Cause.of("axis", [name], reversed="position, velocity and effort", zero=addition)
 
-    return FaultCandidate(fit_corrected=undo, corrected=read, cause=cause, changes_all=True)
+    return FaultCandidate(fit_corrected=undo, corrected=read, cause=cause)
 
 
 def _with_zero(samples: Samples, joint: int, sign: float, zero: float) -> Samples:
