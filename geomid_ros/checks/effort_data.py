@@ -23,7 +23,7 @@ from geomid_ros.checks.evidence import (
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import spd
-from geomid_ros.model.robot import Robot
+from geomid_ros.model.robot import STANDARD_GRAVITY, Robot
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
@@ -202,13 +202,6 @@ class EffortData:
     def _rows(self, robot: Robot, *motion: FloatArray) -> FloatArray:
         return robot.rows_of_pairs(*motion)[np.isin(np.nonzero(robot.supports)[0], self.joints)]
 
-    @cached_property
-    def _rows_by_gravity(self) -> FloatArray:
-        """Derivatives of the :attr:`rows` by each axis of gravity ``(3, P, N, 10)``."""
-        positions, *motion = self.robot.configuration(self.samples)
-        at_rest = [np.zeros_like(rates) for rates in motion]
-        return np.array([self._rows(self.robot.with_gravity(axis), positions, *at_rest) for axis in np.eye(3)])
-
     def link_efforts(self, parameters: FloatArray, rows: FloatArray | None = None) -> FloatArray:
         """Efforts ``(N, C)`` of links with ``parameters (D,)``, by ``rows (P, N, 10)``; in this motion unless given."""
         channels, bodies = self.pairs
@@ -327,13 +320,17 @@ class EffortData:
         friction = np.einsum("nck,ck->nc", self.friction, found.friction)
         return np.asarray(self.link_efforts(self.links(found)) + self.measured_std * friction)
 
-    def fitted_gravity(self, parameters: FloatArray) -> FloatArray:
-        """Gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain the efforts best."""
-        by_gravity = [self.link_efforts(parameters, rows) for rows in self._rows_by_gravity]
-        residual = self.measured - self.link_efforts(parameters) + np.tensordot(self.robot.gravity, by_gravity, 1)
-        columns = (np.array([*by_gravity, residual]) / self.measured_std).transpose(2, 1, 0)
-        columns = self.without_friction(columns)
-        return np.asarray(np.linalg.lstsq(columns[:, :, :3].reshape(-1, 3), columns[:, :, 3].ravel(), rcond=1e-6)[0])
+    def fitted_gravity(self, found: Evidence | None = None) -> FloatArray:
+        """Gravity ``(3,)`` [m/s^2] under which efforts are explained best: with the URDF's links, or together with
+        links, linearised at those of an evidence."""
+        parameters = self.urdf_parameters if found is None else self.links(found)
+        positions, *motion = self.robot.configuration(self.samples)
+        at_rest, axes = [np.zeros_like(rates) for rates in motion], STANDARD_GRAVITY * np.eye(3)
+        by_gravity = (self._rows(self.robot.with_gravity(axis), positions, *at_rest) for axis in axes)
+        columns = np.stack([self.link_efforts(parameters, rows) for rows in by_gravity], axis=2)
+        unknowns = Unknowns.of(columns, self.friction) if found is None else self.unknowns.with_errors(columns)
+        errors = evidence(self.target, unknowns, self.tolerated, units=self.measured_std).link_errors
+        return np.asarray(self.robot.gravity + STANDARD_GRAVITY * errors[-3:])
 
     def without_friction(self, columns: FloatArray) -> FloatArray:
         """Remove from columns of each channel ``(C, N, k)`` what its friction can explain, of either sign."""

@@ -221,16 +221,15 @@ def _other_unit(subject: EffortData, joints: Sequence[int], factor: float) -> Ca
 
 
 def _gravities(subject: EffortData) -> Iterator[FaultCandidate]:
-    """Yield candidates for the best-fitting directions of gravity, and for efforts without gravity."""
+    """Yield candidates for the best-fitting direction of gravity, and for efforts without gravity."""
     nominal = subject.robot.gravity
     size = float(np.linalg.norm(nominal))
     right = abs(size - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY
-    strength, fitted = size if right else STANDARD_GRAVITY, subject.fitted_gravity(subject.urdf_parameters)
-    for start in (1.0, -1.0):
-        gravity = start * strength * _unit(fitted)
-        under = subject.under_gravity(gravity)
-        yield _turned(subject, gravity)
-        yield _turned(subject, strength * _unit(subject.fitted_gravity(under.links(under.nominal))))
+    strength, fitted, under = size if right else STANDARD_GRAVITY, subject.fitted_gravity(), subject
+    for _ in range(ROUNDS):
+        under = under.under_gravity(strength * _unit(fitted))
+        fitted = under.fitted_gravity(under.nominal)
+    yield _turned(subject, under.robot.gravity)
     if not right:
         yield _turned(subject, STANDARD_GRAVITY * (nominal / size if size > 0.0 else np.array([0.0, 0.0, -1.0])))
     if size > 0.0:
