@@ -221,6 +221,13 @@ class EffortData:
         return self.robot.joint_efforts(*self.robot.configuration(self.samples))[:, self.joints]
 
     @property
+    def expected_std(self) -> FloatArray:
+        """Standard deviations of the efforts of links that are like the URDF's within their errors ``(C,)``."""
+        pairs = zip(self.unknowns.affected_by, self.unknowns.columns, strict=True)
+        by_errors = [float(np.sum(np.var(columns[:, : len(felt)], axis=0))) for felt, columns in pairs]
+        return np.asarray(np.sqrt(np.var(self.predicted, axis=0) + by_errors))
+
+    @property
     def weight(self) -> FloatArray:
         """Gravity efforts of the URDF's links ``(N, C)``."""
         return np.asarray(self.predicted - self.under_gravity(np.zeros(3)).predicted)

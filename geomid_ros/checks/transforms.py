@@ -171,12 +171,12 @@ def _gains(subject: EffortData) -> Iterator[FaultCandidate]:
     common, settled = _common_factor(subject)
     if not 1.0 / MASS_FACTOR <= common <= MASS_FACTOR:
         yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), settled)
-    by_size = np.std(subject.predicted, axis=0) / subject.measured_std
+    by_size = subject.expected_std / subject.measured_std
     factors = np.where(follows(correlations), 1.0 / np.maximum(slopes, 1e-30), by_size)
     unlike_common = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(MASS_FACTOR)
     unlike_nominal = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(MASS_FACTOR)
     loads = np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints]
-    for joint in np.flatnonzero(unlike_common & unlike_nominal & (factors > 0.0)).tolist() if len(every) > 1 else ():
+    for joint in np.flatnonzero(unlike_common & unlike_nominal).tolist() if len(every) > 1 else ():
         factor, beyond_rating = float(factors[joint]), bool(loads[joint] > MASS_FACTOR**2)
         matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
         yield _gain(matrix, _other_unit(subject, [joint], factor), beyond_rating)
@@ -199,8 +199,7 @@ def _common_factor(subject: EffortData) -> tuple[float, bool]:
     felt = subject.sizes_of_links(subject.nominal)
     if len(felt) > 1 and np.all((felt > 0.0) & (felt < 1.0 / MASS_FACTOR)):
         return 1.0 / float(np.median(felt)), True
-    predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
-    return float(np.median(predicted / subject.measured_std)), False
+    return float(np.median(subject.expected_std / subject.measured_std)), False
 
 
 def _other_unit(subject: EffortData, joints: Sequence[int], factor: float) -> Cause:

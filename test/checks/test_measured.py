@@ -67,6 +67,22 @@ def test_a_robot_on_its_side_of_which_nobody_says_so() -> None:
     assert finding.cause.settings["gravity"] == pytest.approx([9.81, -0.17, -0.17], abs=0.1)
 
 
+@pytest.mark.parametrize("configured", [(6.5, -2.44, -6.94), (9.19, -3.44, 0.0)])
+def test_gravity_is_fitted_together_with_links_that_are_far_from_the_urdf(configured: tuple[float, ...]) -> None:
+    (finding,) = findings("kuka_kr300/kr300.urdf", "kuka_kr300/FF_B", {"gravity": configured})
+    assert finding.sure
+    directions = [cause.settings.get("gravity") for cause in (finding.cause, *finding.rivals)]
+    assert any(direction == pytest.approx([0.0, 0.0, -9.81], abs=2.0) for direction in directions)
+
+
+def test_an_effort_too_small_for_any_plausible_link_is_in_another_unit() -> None:
+    """By the URDF this joint of the wrist would hardly feel anything, either."""
+    urdf, bag, settings = SOUND["tx40"]
+    (finding,) = findings(urdf, bag, settings | {"joint.joint_4.effort_gain": 0.01})
+    assert finding.sure
+    assert (finding.cause.kind, finding.cause.places) == ("gain", ("joint_4",))
+
+
 @pytest.mark.parametrize("name", ["ur10", "rokae"])
 def test_a_gain_of_the_wrong_sign(name: str) -> None:
     urdf, bag, settings = SOUND[name]
