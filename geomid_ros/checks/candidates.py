@@ -105,12 +105,12 @@ class CandidateTest:
 
     @property
     def is_accepted(self) -> bool:
-        """True if it repeats, and no channels contradict it together with those of larger efforts; or if it needs no
-        evidence."""
+        """True if it repeats, leaves plausible links, and no channels contradict it together with those of larger
+        efforts; or if it needs no evidence."""
         if self.candidate.needs_no_evidence:
             return True
         by_size = np.cumsum(self.channel_gains[np.argsort(-self.subject.relative_std[self.candidate.sources])])
-        return not is_probable(-float(np.min(by_size)), 1) and self.repeats
+        return not is_probable(-float(np.min(by_size)), 1) and self.has_plausible_links and self.repeats
 
     @property
     def has_plausible_links(self) -> bool:
@@ -176,8 +176,6 @@ def decide(tried: Iterable[CandidateTest], count: int, nominal: Evidence) -> Fau
     causes = [one for one in likely if one in probable][:1]
     settled = [one for one in ordered if one.candidate.needs_no_evidence]
     # Evidence that another cause is more probable overrules a settled one, unless links remain implausible.
-    if settled:
-        causes = [one for one in causes if one.has_plausible_links]
     contrary = max((one.gain for one in causes), default=-np.inf)
     causes += [one for one in settled if not is_probable(contrary - one.gain, count)]
     # A cause common to all joints precedes one for each.
