@@ -110,7 +110,8 @@ class CandidateTest:
         if self.candidate.needs_no_evidence:
             return True
         by_size = np.cumsum(self.channel_gains[np.argsort(-self.subject.relative_std[self.candidate.sources])])
-        return not is_probable(-float(np.min(by_size)), 1) and self.has_plausible_links and self.repeats
+        plausible = self.candidate.begins_during_recording or self.has_plausible_links
+        return not is_probable(-float(np.min(by_size)), 1) and plausible and self.repeats
 
     @property
     def has_plausible_links(self) -> bool:
