@@ -66,16 +66,13 @@ def test_fits_do_not_grow_with_joints(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_efforts_of_links_are_those_of_all_rows() -> None:
-    """Rows are kept of the bodies that a joint moves; of some joints, of any parameters, and by the axes of gravity."""
+    """Rows are kept of the bodies that a joint moves; of some joints, and of any parameters."""
     random, robot = np.random.default_rng(1), Robot(chain(5), source="chain")
     effort = np.where(np.arange(5) == 2, np.nan, random.normal(size=(60, 5)))
     subject = EffortData.of_all(robot, samples(motion(random, 5, 0.6), effort))
     parameters, measured = random.normal(size=50), [0, 1, 3, 4]
     state = robot.configuration(subject.samples)
     rows = robot.joint_effort_rows(*state)[:, measured].reshape(60, 4, 50)
-    weights = rows - robot.with_gravity(np.zeros(3)).joint_effort_rows(*state)[:, measured].reshape(60, 4, 50)
-    by_axis = [subject.link_efforts(parameters, of_axis) for of_axis in subject._rows_by_gravity]
     factor = random.normal(size=(10, 2))
     assert np.allclose(subject.link_efforts(parameters), rows @ parameters, rtol=0.0, atol=1e-10)
-    assert np.allclose(np.tensordot(robot.gravity, by_axis, 1), weights @ parameters, rtol=0.0, atol=1e-10)
     assert np.allclose(subject.columns_of(3, factor), rows[:, :, 30:40] @ factor, rtol=0.0, atol=1e-10)
