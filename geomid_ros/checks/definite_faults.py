@@ -54,8 +54,10 @@ def impossible_description(subject: EffortData) -> Iterator[Cause]:
     if length > MASS_FACTOR**2 * float(np.sum(radii)) > 0.0:
         problem = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
         yield cause(problem, "the origins of joints", "mm", "m")
+    borne = robot.effort_limits.copy()  # a limit is wrong if the robot bore more
+    borne[subject.joints] = np.maximum(borne[subject.joints], np.max(np.abs(subject.measured), axis=0))
     with np.errstate(divide="ignore"):
-        excess = _weights(subject) / robot.effort_limits
+        excess = _weights(subject) / borne
     joint = int(np.argmax(excess))
     if excess[joint] > MASS_FACTOR**2:
         carried = f"joint '{robot.joint_names[joint]}' would carry {excess[joint]:.0f} times its limit"

@@ -10,7 +10,7 @@ from estimation.arms import efforts as feels
 from estimation.arms import motion as moving
 from estimation.arms import samples, shipped, truth
 
-from checks.test_efforts import named
+from checks.test_efforts import findings, named
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 
@@ -48,3 +48,11 @@ def test_units_of_a_urdf_are_named(name: str, spoil, said: str, limits: bool) ->
     cause = named(MeasurementModel(Robot(without), ()), samples(motion, effort))
     assert cause.kind == "description"
     assert said in cause.sentence
+
+
+def test_a_limit_below_the_recorded_efforts_says_nothing_of_masses() -> None:
+    right = Robot(shipped("arm3"))
+    motion = moving(np.random.default_rng(6), len(right.joints), 20.0)
+    effort = feels(right, truth(np.random.default_rng(5), right), motion)
+    model = MeasurementModel(Robot(re.sub(r'effort="[^"]+"', 'effort="0.05"', shipped("arm3"))), ())
+    assert findings(model, samples(motion, effort)) == ()
