@@ -76,3 +76,11 @@ def test_efforts_of_links_are_those_of_all_rows() -> None:
     factor = random.normal(size=(10, 2))
     assert np.allclose(subject.link_efforts(parameters), rows @ parameters, rtol=0.0, atol=1e-10)
     assert np.allclose(subject.columns_of(3, factor), rows[:, :, 30:40] @ factor, rtol=0.0, atol=1e-10)
+
+
+def test_expected_efforts_are_those_of_links_drawn_about_the_urdfs() -> None:
+    random, robot = np.random.default_rng(3), Robot(chain(4), source="chain")
+    subject = EffortData.of_all(robot, samples(motion(random, 4, 0.6), random.normal(size=(60, 4))))
+    draws = np.einsum("bij,nbj->nbi", subject.factor, random.normal(size=(4000, 4, 10))).reshape(4000, 40)
+    squares = [np.var(subject.link_efforts(subject.urdf_parameters + draw), axis=0) for draw in draws]
+    assert np.allclose(np.sqrt(np.mean(squares, axis=0)), subject.expected_std, rtol=0.05)

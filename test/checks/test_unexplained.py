@@ -121,6 +121,7 @@ BEFORE = [
     ("arm7", "position turned round", 2, "joint 'joint3' seems to turn opposite"),
     ("med7", "position turned round", 1, "joint 'A2' seems to turn opposite"),
     ("lwr4", "position turned round", 3, "joint 'lwr_3_joint' seems to turn opposite"),
+    ("med7", "unit in mid-run", 0.07, "the efforts of all joints have 0.0"),
 ]
 AFTER = [
     ("arm7", "axis of the URDF", 1, "is not explained"),
