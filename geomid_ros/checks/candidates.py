@@ -106,7 +106,7 @@ class CandidateTest:
     @property
     def is_accepted(self) -> bool:
         """True if it repeats, leaves plausible links, and no channels contradict it together with those of larger
-        efforts; or if it needs no evidence."""
+        efforts; or if it needs no evidence. Links of a recording in which something changes need not be plausible."""
         if self.candidate.needs_no_evidence:
             return True
         by_size = np.cumsum(self.channel_gains[np.argsort(-self.subject.relative_std[self.candidate.sources])])

@@ -61,7 +61,7 @@ def test_what_is_known_is_trusted_as_far_as_it_agrees() -> None:
     known = said(fit(first, planted.prior(), [], prior_std=0.2), first)
     agreeing = fit(second, replace(planted.prior(), other_recordings=known), [])
     assert agreeing.inflation < 2.0
-    shifted = OtherRecordings(known.rows, known.residuals + 100.0 * np.random.default_rng(5).standard_normal(30))
+    shifted = OtherRecordings(known.rows, known.residuals + 400.0 * np.random.default_rng(5).standard_normal(30))
     contradicting = fit(second, replace(planted.prior(), other_recordings=shifted), [])
     assert contradicting.inflation > 1000.0
     alone = fit(second, planted.prior(), [])
