@@ -198,7 +198,7 @@ class Supervisor:
 
     def close(self) -> None:
         """End the threads, and save the last estimate if an output folder is set. It is saved at once, as a running
-        solve may take too long, and again if the solver made a newer one."""
+        solve may take too long, and again if the solver makes a newer one in time."""
         if self.worker is None:
             return
         begin = time.monotonic()
@@ -214,11 +214,14 @@ class Supervisor:
         self._restarts, self._hung, self._hanging = 0, "", ()
 
     def _save_last(self, worker: Worker, saved: _Saved, begin: float) -> _Saved:
-        """Save the last estimate, unless that began already; wait until :data:`PATIENCE` after ``begin`` [s]."""
-        estimate = worker.estimate
+        """Save the last estimate, unless that began already; wait until :data:`PATIENCE` after ``begin`` [s]. No newer
+        one is begun after that: the process would end in the middle of it."""
+        estimate, left = worker.estimate, begin + PATIENCE - time.monotonic()
         if self._configuration["output_folder"] and estimate is not None and estimate not in saved:
+            if saved and left <= 0.0:
+                return saved
             saved = {**saved, estimate: self.saving.save_last(worker.session, estimate)}
-            wait(saved.values(), max(0.0, begin + PATIENCE - time.monotonic()))
+            wait(saved.values(), max(0.0, left))
         return saved
 
     def _report_saved(self, outcome: Future[SaveOutcome], begin: float) -> None:

@@ -289,3 +289,24 @@ def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.Monk
     assert slow.saved == [estimate] * (estimate is not None)
     with pytest.raises(queue.Empty):
         answers.get(timeout=0.5)
+
+
+@pytest.mark.parametrize(("passed", "saved"), [(0.0, 2), (module.PATIENCE, 1)], ids=["in time", "late"])
+def test_55_no_newer_estimate_is_saved_that_nobody_waits_for(
+    passed: float, saved: int, clock: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The process would end in the middle of writing it."""
+
+    def close(_: float) -> None:
+        clock.now += passed
+        working.estimate = Mock(rows_accepted=8)
+
+    working: Any = Slow(ESTIMATED)
+    working.close = close
+    monkeypatch.setattr(saving, "save", working.save)
+    monkeypatch.setattr(saving, "start_daemon", lambda _, act, *arguments: act(*arguments))
+    watched = Supervisor(Configuration({"output_folder": str(tmp_path)}), Ledger(), Lines(), Listener(), None)
+    watched.worker = working
+    watched.close()
+    assert working.saved[0] is ESTIMATED
+    assert len(working.saved) == saved
