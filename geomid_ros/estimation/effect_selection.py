@@ -8,9 +8,10 @@ is significant by its squared size in units of its standard deviation. This is e
 effect scatters far more between these than independent residuals would (jackknife; Liang and Zeger, "Longitudinal data
 analysis using generalized linear models", 1986). So an effect must repeat to be significant.
 
-A candidate is tried with the inertias as fitted, and with inertias that stay near the prior, because a link that has
-absorbed an effect hides it. A coefficient that cannot be negative is fixed at zero instead. Shapes and candidates are
-tried to first order about the present fit (``trials.py``); only what is taken is fitted.
+The score test makes a shortlist of candidates, and the best of their trials is taken. They are tried with the inertias
+as fitted, and with inertias that stay near the prior, because a link that has absorbed an effect hides it. A
+coefficient that cannot be negative is fixed at zero instead. Shapes and candidates are tried to first order about the
+present fit (``trials.py``); only what is taken is fitted.
 
 A robot description can hold some effects but not others: a URDF has damping and friction, but no rotor inertia.
 Dropping an effect from a fit that needs it makes the file worse than one without any effects. So each file has its own
@@ -34,7 +35,7 @@ from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRow
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
 from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
+from geomid_ros.estimation.tolerances import ROUNDS, SETTLED, SHORTLIST
 from geomid_ros.estimation.trials import Trial, Trials
 from geomid_ros.estimation.uncertainty import fold_at
 from geomid_ros.geometry.manifold import Point
@@ -80,14 +81,15 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
     rows = fit.rows
     fit = _without_insignificant(_shaped(fit, range(len(rows.problem.model.robot.joints))))
     tried: set[Mechanism] = set()
-    while len(candidates := rows.candidates(fit.all_columns, tried)):
-        column, columns = _best(fit, candidates)
-        if columns is None:
-            break
+    while trials := _trials_of_best(fit, rows.candidates(fit.all_columns, tried)):
+        possible = {column: trial for column, trial in trials.items() if trial is not None}
+        tried.update(rows.mechanism(column) for column in trials.keys() - possible.keys())
+        if not possible:
+            continue
+        column, best = min(possible.items(), key=lambda one: one[1].score)
         tried.add(rows.mechanism(column))
-        if len(columns):
-            fit = min((rows.fit(columns, start) for start in _starts(fit)), key=lambda larger: larger.score)
-            fit = _shaped(fit, joints_of(rows.coefficient(column).place))
+        fit = min((rows.fit(best.all_columns, start) for start in _starts(fit)), key=lambda larger: larger.score)
+        fit = _shaped(fit, joints_of(rows.coefficient(column).place))
     return _without_insignificant(fit)
 
 
@@ -150,20 +152,26 @@ def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
     return fit
 
 
-def _best(present: CoefficientFit, candidates: IntArray) -> tuple[int, IntArray | None]:
-    """Return the candidate column that improves a fit most, and the columns with it in its best shape: none if it is
-    not visible or not plausible then, None if it is not significant."""
-    starts, rows = _starts(present), present.rows
+def _trials_of_best(present: CoefficientFit, candidates: IntArray) -> dict[int, Trial | None]:
+    """Try the candidate columns that the score test prefers, one of each mechanism, if they would be significant."""
+    starts = _starts(present)
     gains = np.max([start.gains(candidates) for start in starts], axis=0)
-    column = int(candidates[np.argmax(gains)])
-    if np.max(gains) < SIGNIFICANT_STDS**2:
-        return column, None
+    significant = candidates[np.argsort(-gains)][: np.count_nonzero(gains >= SIGNIFICANT_STDS**2)]
+    preferred = dict[Mechanism, int]()
+    for column in significant.tolist():
+        preferred.setdefault(present.rows.mechanism(column), column)
+    return {column: _trial(starts, column) for column in list(preferred.values())[:SHORTLIST]}
+
+
+def _trial(starts: Sequence[CoefficientFit], column: int) -> Trial | None:
+    """Return the best trial of a column in any shape, from fits with the same columns; None if it is not plausible, or
+    not visible from any of them."""
+    rows = starts[0].rows
     joints, shapes = joints_of(rows.coefficient(column).place), rows.shapes[rows.mechanism(column)]
-    columns = np.append(present.all_columns, column)
+    columns = np.append(starts[0].all_columns, column)
     tried = [_best_shapes(_trials(start, joints, shapes), columns) for start in starts]
     best = min(tried, key=lambda trial: trial.score)
-    is_taken = best.is_plausible and any(trial.leaves_less(_VISIBLE) for trial in tried)
-    return column, best.all_columns if is_taken else best.all_columns[:0]
+    return best if best.is_plausible and any(trial.leaves_less(_VISIBLE) for trial in tried) else None
 
 
 def fit_files(

@@ -177,7 +177,7 @@ def estimate(
     while True:
         # Solve anew, not from the last result: a dropped effect may have led it to another minimum.
         solved = fitted(columns, continued, choice)
-        minimum = _minimum(solved[0], settings)
+        minimum = _minimum(solved[0], settings, columns, full_problem)
         if continued is not None or not len(insignificant := _least_significant(model, minimum, columns)):
             break
         columns = np.setdiff1d(columns, insignificant)
@@ -278,13 +278,14 @@ def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Minimum:
     """End of a solve: the fit, the minimum of the chosen objective, how many rows that one leaves out, the errors of
-    the parameters if the constants of effects are exact, and the effects with these errors. ``errors_for`` returns
-    them for other standard deviations ``(D,)`` of the prior's error."""
+    the parameters if the constants of effects are exact, the steps of these constants' grids, and the effects with the
+    errors of both. ``errors_for`` returns the former for other standard deviations ``(D,)`` of the prior's error."""
 
     fitted: Fit
     solution: Solution
     set_aside: int
     errors: uncertainty.Uncertainty
+    grid_steps: uncertainty.GridSteps
     effects: tuple[EffectEstimate, ...]
     errors_for: Callable[[FloatArray], uncertainty.Uncertainty]
 
@@ -309,8 +310,8 @@ class _Minimum:
         return self.errors_for(wider)
 
 
-def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
-    """Return the minimum that a fit leads to, and its errors."""
+def _minimum(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole: Problem) -> _Minimum:
+    """Return the minimum that a fit of the ``columns`` of the ``whole`` problem leads to, and its errors."""
     problem, solution = fitted.problem, fitted.solution
     manifold, summary, known = problem.manifold, problem.summary, problem.known
     prior_weights, set_aside = fitted.objective.prior_weights, 0
@@ -340,14 +341,14 @@ def _minimum(fitted: Fit, settings: EstimatorSettings) -> _Minimum:
             expected=_information_at(manifold, solution.point, known.rows[len(known.masses) :]),
         )
 
-    errors = errors_for(assumed)
-    effects = estimate_parts.effects(problem, solution.point, errors)
+    errors, steps = errors_for(assumed), _grid_steps(columns, whole, fitted, solution.point)
     return _Minimum(
         fitted=fitted,
         solution=solution,
         set_aside=set_aside,
         errors=errors,
-        effects=effects,
+        grid_steps=steps,
+        effects=estimate_parts.effects(problem, solution.point, errors.with_unknown_constants(steps)),
         errors_for=errors_for,
     )
 
@@ -357,7 +358,7 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
     fitted, solution = minimum.fitted, minimum.solution
     problem, point = fitted.problem, solution.point
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
-    steps = _grid_steps(columns, whole, fitted, point)
+    steps = minimum.grid_steps
     errors = minimum.errors.with_unknown_constants(steps)
     link_errors, effect_errors = (
         minimum.stated_errors(stds).with_unknown_constants(steps)
@@ -407,8 +408,10 @@ def _grid_steps(columns: IntArray, whole: Problem, fitted: Fit, point: Point) ->
     changes = np.zeros((0, whole.model.dimension))
     places = []
     for place, column in enumerate(columns.tolist()):
-        shapes = rows.shapes[rows.mechanism(column)] if column >= rows.first_column else []
-        if len(shapes) > 1:
+        if column < rows.first_column:
+            continue
+        effect, shapes = rows.coefficient(column).effect, rows.shapes[rows.mechanism(column)]
+        if len(shapes) > 1 and (effect.constant or effect.default_constant):  # the ratio of a coupled motor is exact
             at = shapes.index(column)
             nearby = shapes[max(at - 1, 0) : at + 2]
             change = np.zeros(whole.model.dimension)

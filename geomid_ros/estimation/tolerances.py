@@ -1,4 +1,7 @@
-"""Tolerances of arithmetic in this package: rounding, ends of iterations, bounds of steps. None is a decision rule."""
+"""Tolerances of arithmetic in this package: rounding, ends of iterations, bounds of steps and searches.
+
+None is a decision rule.
+"""
 
 ROUNDING = 1e-9
 """Singular values of unit-size rows, relative to the largest, that may be rounding errors."""
@@ -17,3 +20,6 @@ LARGEST_STEP = 0.5
 """Largest step in tangent coordinates, within which rows are nearly linear."""
 LEAST_DEVIATION = 1e-4
 """Least standard deviation of tangent coordinates between robots."""
+SHORTLIST = 4
+"""Number of effects that the score test prefers and of which the best is chosen exactly. The test alone does not know
+which coefficients become negative, nor how the noise falls."""

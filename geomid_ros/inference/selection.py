@@ -8,6 +8,7 @@ from typing import Any, Generic
 
 import numpy as np
 
+from geomid_ros.estimation.tolerances import SHORTLIST
 from geomid_ros.inference.design import Design, remembered
 from geomid_ros.inference.fit import JointFit, fit
 from geomid_ros.inference.prior import Chosen, Prior, Term
@@ -16,7 +17,6 @@ from geomid_ros.inference.rao_score import ScoreTest, score_tests
 KEPT_PROMISE = 2.5
 """Most that a hypothesis gains, as a multiple of the promise of the score test: of some 3,000 none gained more. No loss
 is smaller than its second-order estimate by a larger factor, either."""
-_SHORTLIST = 4
 _MOST = 40
 _PLAUSIBLE = 0.5  # fraction of a loss that the score test must promise of a rival for it to be tried
 
@@ -124,7 +124,7 @@ class Selection(Generic[Chosen, Term]):
         """Return the hypotheses that are worth an exact fit, best first: those that the score test prefers, and bodies,
         each with a gain above ``least``."""
         trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload is None]
-        trials = [t for t in trials if instead_of is None or t.candidate is not instead_of][:_SHORTLIST]
+        trials = [t for t in trials if instead_of is None or t.candidate is not instead_of][:SHORTLIST]
         if not current.bodies and (instead_of is None or instead_of.confusable_with_payload):
             trials += [t for t in self._promising_bodies(current) if t.gain > least and t.candidate is not instead_of]
         return sorted(trials, key=lambda trial: -trial.gain)
@@ -135,7 +135,7 @@ class Selection(Generic[Chosen, Term]):
         inertias, which the body made wrong, imitate it. So the test uses the inertias' default prior std."""
         firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_prior_stds)
         trials = self._rank(firm, [c for c in self.hypotheses if c.payload is not None])
-        return [trial for trial in trials if trial.gain > 0.0][:_SHORTLIST]
+        return [trial for trial in trials if trial.gain > 0.0][:SHORTLIST]
 
     def prune(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
         """Drop the hypotheses that are not worth their cost, the worst first, and pairs that support each other."""
@@ -201,7 +201,7 @@ class Selection(Generic[Chosen, Term]):
             rest, groups = self.without(current, candidate, neighbour), {candidate.group, neighbour.group}
             others = [h for h in overlapping if h.group not in groups]
             trials = list[tuple[float, JointFit[Chosen, Term], Chosen]]()
-            for other in [t.candidate for t in self._rank(rest, others) if t.gain > 0.0][:_SHORTLIST]:
+            for other in [t.candidate for t in self._rank(rest, others) if t.gain > 0.0][:SHORTLIST]:
                 larger = self.fit([*rest.chosen, other], rest)
                 trials += [(larger.score - t.gain, larger, t.candidate) for t in self._rank(larger, variants)]
             if trials:

