@@ -22,7 +22,7 @@ from geomid_ros.session.options import DescriptionOptions, MotionOptions, RunOpt
 if TYPE_CHECKING:
     from geomid_ros.api.robot import DescribedRobot
     from geomid_ros.excitation.belief import ExpectedUncertainty
-    from geomid_ros.ros.excite.run import MotionRequest, Plan
+    from geomid_ros.ros.excite import MotionRequest, Plan
     from geomid_ros.session.configuration import Configuration
     from geomid_ros.session.excitation import Excitation
 
@@ -177,13 +177,13 @@ def _run_motion(bag: Path | None, **motion: Any) -> None:
 
     Args:
         bag: folder of the recording.
-        **motion: attributes of :class:`~geomid_ros.ros.excite.run.MotionRequest`.
+        **motion: attributes of :class:`~geomid_ros.ros.excite.MotionRequest`.
 
     Raises:
         GeomidError: the motion is impossible, it was stopped, or ROS is not installed.
     """
     with needing_ros("running a motion"):
-        from geomid_ros.ros.excite.run import MotionRequest, prepared_run
+        from geomid_ros.ros.excite import MotionRequest, prepared_run
     order = MotionRequest(**motion)
     with prepared_run(order) as prepared:
         _show_plan(order, prepared.plan)

@@ -30,7 +30,7 @@ _context.set_forkserver_preload(
         "geomid_ros.commands",
         "geomid_ros.commands.recording_results",
         "geomid_ros.commands.excite",
-        "geomid_ros.ros.excite.run",
+        "geomid_ros.ros.excite",
         "geomid_ros.ros.node",
         "geomid_ros.ros.player",
         "matplotlib.backends.backend_agg",

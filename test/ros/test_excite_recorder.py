@@ -12,7 +12,7 @@ from rosbags.rosbag2 import Writer
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.ros.excite.robot_monitor import Recorder
+from geomid_ros.ros.excite import Recorder
 
 TEXT = "std_msgs/msg/String"
 TOPICS = {"/said": TEXT, "/robot_description": TEXT}

@@ -20,7 +20,7 @@ from benchmarks.trajectory_controller import GONE, STRONG
 from geomid_ros.excitation.limits import MotionMonitor
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories import read_trajectory
-from geomid_ros.ros.excite.run import MotionRequest, prepared_run
+from geomid_ros.ros.excite import MotionRequest, prepared_run
 from geomid_ros.session.options import RunOptions
 
 from .processes import Process

@@ -1,1 +1,0 @@
-"""Runs a motion on a robot: finds its controller, monitors and records the motion."""
