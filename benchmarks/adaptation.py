@@ -33,10 +33,10 @@ import geomid_ros
 from benchmarks.endurance import endure
 from benchmarks.feedforward import described, hand_distances, hand_error
 from geomid_ros.api.feedforward import robot_to_move
-from geomid_ros.api.options import FillOptions
 from geomid_ros.control.correction import Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.excitation.motion import Trajectory
+from geomid_ros.session.options import FillOptions
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.description import LinkInertia, body_of, pseudo_inertia
 from geomid_ros.simulation.motion import exciting_motion

@@ -10,10 +10,10 @@ import numpy as np
 
 from benchmarks.feedforward import described
 from geomid_ros.api.feedforward import robot_to_move
-from geomid_ros.api.options import FillOptions
 from geomid_ros.control.correction import SHORTEST, Adaptation, removed_fraction, shortest_change
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.model.samples import ACCELERATION_PER_SPEED, SAMPLES_PER_PIECE, random_states
+from geomid_ros.session.options import FillOptions
 from geomid_ros.simulation.robots import robot_description
 
 _STEP = 2e-3  # [s]

@@ -27,13 +27,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measured_data import CASES, DATA, Case
-from geomid_ros.api.options import RecordingOptions
 from geomid_ros.api.robot import configuration, description, topics
 from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.options import RecordingOptions
 from geomid_ros.session.recordings import read_samples, read_with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from geomid_ros.api.fleet import FleetIdentification, identify_fleet
     from geomid_ros.api.gap import Gap, find_gap
     from geomid_ros.api.identify import Identification, identify
-    from geomid_ros.api.options import RecordingOptions, RobotOptions
     from geomid_ros.api.payload import weigh_payload
     from geomid_ros.api.rebuild import rebuild_report
     from geomid_ros.api.verify import Verification, verify
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from geomid_ros.estimation.paper_estimator import RowsSolution, solve_rows
     from geomid_ros.exports.payload import Payload
     from geomid_ros.model.effects import Effect, JointEffect, JointMotion, ParameterForm, register
+    from geomid_ros.session.options import RecordingOptions, RobotOptions
 
 # Matrices are small, so threads of the linear algebra library would only wait for each other and block the cores of a
 # busy machine. numpy reads this once, on import.
@@ -87,7 +87,6 @@ _NAMES = {
     "geomid_ros.api.fleet": ("FleetIdentification", "identify_fleet"),
     "geomid_ros.api.gap": ("Gap", "find_gap"),
     "geomid_ros.api.identify": ("Identification", "identify"),
-    "geomid_ros.api.options": ("RecordingOptions", "RobotOptions"),
     "geomid_ros.api.payload": ("weigh_payload",),
     "geomid_ros.api.rebuild": ("rebuild_report",),
     "geomid_ros.api.verify": ("Verification", "verify"),
@@ -95,6 +94,7 @@ _NAMES = {
     "geomid_ros.estimation.paper_estimator": ("RowsSolution", "solve_rows"),
     "geomid_ros.model.effects": ("Effect", "JointEffect", "JointMotion", "ParameterForm", "register"),
     "geomid_ros.exports.payload": ("Payload",),
+    "geomid_ros.session.options": ("RecordingOptions", "RobotOptions"),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 

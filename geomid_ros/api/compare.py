@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from geomid_ros.api.options import CompareOptions
 from geomid_ros.api.robot import identified_urdf_path
 from geomid_ros.api.verify import read_test_samples
 from geomid_ros.checks.verdict import recording_verdict
@@ -28,7 +27,7 @@ from geomid_ros.geometry.pseudo_inertia import nearest_body
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
 from geomid_ros.report.result_pages import ChannelErrors, ComparisonPage, write_comparison_page
-from geomid_ros.session.options import PathLike, paths
+from geomid_ros.session.options import CompareOptions, PathLike, paths
 from geomid_ros.session.session import Session
 
 _OWN = "the held-out data of its own recording"

@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
-from geomid_ros.api.options import ExportOptions, SampleOptions
 from geomid_ros.api.robot import entries
 from geomid_ros.errors import InputError, check_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, described, patch_user_mjcf
@@ -27,7 +26,7 @@ from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.readers import DESCRIBED_FOR, EXISTING_MJCF, MUJOCO
 from geomid_ros.options import Progress, silent, takes
 from geomid_ros.report.pictures import torque_picture
-from geomid_ros.session.options import PathLike, Texts
+from geomid_ros.session.options import ExportOptions, PathLike, SampleOptions, Texts
 
 
 class Exported(NamedTuple):

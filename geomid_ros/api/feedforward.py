@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from geomid_ros.api.options import FeedforwardOptions, FillOptions
 from geomid_ros.api.robot import DescribedRobot, configuration, description, identified_urdf_path
 from geomid_ros.control.feedforward import MotorEfforts, interpolation_errors, with_efforts
 from geomid_ros.errors import InputError
@@ -18,7 +17,7 @@ from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.urdf_tree import parse
 from geomid_ros.options import takes
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.options import DescriptionOptions, PathLike
+from geomid_ros.session.options import DescriptionOptions, FeedforwardOptions, FillOptions, PathLike
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 

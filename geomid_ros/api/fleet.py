@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from geomid_ros.api.options import FleetOptions
 from geomid_ros.api.robot import check_command_efforts, configuration, description, topics
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
@@ -19,6 +18,7 @@ from geomid_ros.fleet.recordings import find_bags, on_this_disk
 from geomid_ros.fleet.work import FleetPlan, Store, changes
 from geomid_ros.options import takes
 from geomid_ros.report.result_pages import FleetPage, RobotLine, write_fleet_page
+from geomid_ros.session.options import FleetOptions
 
 _KEPT = "kept"
 

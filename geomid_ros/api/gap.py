@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from geomid_ros.api.identify import DELAY, identify
-from geomid_ros.api.options import GapOptions, RecordingOptions
 from geomid_ros.api.rebuild import tables, write_tables
 from geomid_ros.api.robot import bag_paths, configuration, description, recordings
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, recording_verdict
@@ -31,7 +30,7 @@ from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.series import elapsed
 from geomid_ros.resimulation.resimulate import Resimulated
 from geomid_ros.session.gap import GapReader, find_gap_in_samples, gap_session, known_remainder_of
-from geomid_ros.session.options import PathLike
+from geomid_ros.session.options import GapOptions, PathLike, RecordingOptions
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
 from geomid_ros.session.written_simulation import nominal_inertias, simulate_again, without_findings, write_found

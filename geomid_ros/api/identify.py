@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomid_ros.api.options import IdentifyOptions
 from geomid_ros.api.rebuild import tables, write_tables
 from geomid_ros.api.robot import configuration, description, recordings
 from geomid_ros.checks.candidates import ROUNDS
@@ -35,7 +34,7 @@ from geomid_ros.options import Progress, silent, takes
 from geomid_ros.report.result_pages import write_identification_page
 from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.gap import remainder_of
-from geomid_ros.session.options import PathLike
+from geomid_ros.session.options import IdentifyOptions, PathLike
 from geomid_ros.session.recordings import Bags, read_bags, read_fitted
 from geomid_ros.session.session import Session, document, identified_urdf, installed_version
 from geomid_ros.session.training import Training

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from geomid_ros.api.options import PayloadOptions
 from geomid_ros.api.robot import bag_paths, check_command_efforts, configuration, description, topics
 from geomid_ros.exports.payload import Payload, identify_payload_at
 from geomid_ros.files.models.posterior import posterior_path, read_posterior
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import takes
-from geomid_ros.session.options import Paths, paths
+from geomid_ros.session.options import Paths, PayloadOptions, paths
 from geomid_ros.session.payload import payload_session
 from geomid_ros.session.recordings import Bags, read_fitted
 from geomid_ros.session.session import Session

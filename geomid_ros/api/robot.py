@@ -7,7 +7,6 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from geomid_ros.api.options import RecordingOptions, RobotOptions
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import bags_in
 from geomid_ros.files.models.urdf import SUFFIX, read_urdf
@@ -15,7 +14,18 @@ from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.options import Options, named_once, numbers_in
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.options import Config, DescriptionOptions, Gains, PathLike, Paths, Texts, paths, texts
+from geomid_ros.session.options import (
+    Config,
+    DescriptionOptions,
+    Gains,
+    PathLike,
+    Paths,
+    RecordingOptions,
+    RobotOptions,
+    Texts,
+    paths,
+    texts,
+)
 from geomid_ros.session.recordings import Bags, Topics, read_with_locked, recorded_description
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import COMMANDS, IMU, ODOM

@@ -21,7 +21,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from geomid_ros.api.options import RobotOptions, VerifyOptions
 from geomid_ros.api.robot import (
     bag_paths,
     check_command_efforts,
@@ -37,7 +36,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import TOTAL
 from geomid_ros.options import takes
 from geomid_ros.session.gap import rms_of_model
-from geomid_ros.session.options import PathLike, Paths, texts
+from geomid_ros.session.options import PathLike, Paths, RobotOptions, VerifyOptions, texts
 from geomid_ros.session.recordings import Bags, read_fitted
 from geomid_ros.session.session import Session
 

@@ -40,11 +40,11 @@ def demo(out: Path, rate: float) -> None:
     """
     from rich.live import Live
 
-    from geomid_ros.api.options import RobotOptions
     from geomid_ros.api.robot import configuration as configured
     from geomid_ros.files.models.estimate_file import EstimateFile
     from geomid_ros.files.models.urdf import read_urdf
     from geomid_ros.report.pictures import write_picture
+    from geomid_ros.session.options import RobotOptions
     from geomid_ros.session.session import Session
 
     with needing_ros("the demonstration"):

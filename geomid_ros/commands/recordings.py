@@ -11,8 +11,8 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.api.options import FleetOptions, GapOptions, IdentifyOptions
 from geomid_ros.commands.options import OUT, PATH, options_of, report_option
+from geomid_ros.session.options import FleetOptions, GapOptions, IdentifyOptions
 
 
 @click.command()

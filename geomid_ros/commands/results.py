@@ -13,7 +13,12 @@ import click
 import numpy as np
 
 import geomid_ros
-from geomid_ros.api.options import (
+from geomid_ros.commands.options import OUT, PATH, Output, options_of
+from geomid_ros.commands.terminal import plain_table, print_remarks, print_verdict, progress_bar, results_console, say
+from geomid_ros.errors import InputError, one_line
+from geomid_ros.exports.formats import CONTROLLERS, JSON
+from geomid_ros.files.models.readers import DESCRIBED_FOR
+from geomid_ros.session.options import (
     CompareOptions,
     ExportOptions,
     FeedforwardOptions,
@@ -21,11 +26,6 @@ from geomid_ros.api.options import (
     SampleOptions,
     VerifyOptions,
 )
-from geomid_ros.commands.options import OUT, PATH, Output, options_of
-from geomid_ros.commands.terminal import plain_table, print_remarks, print_verdict, progress_bar, results_console, say
-from geomid_ros.errors import InputError, one_line
-from geomid_ros.exports.formats import CONTROLLERS, JSON
-from geomid_ros.files.models.readers import DESCRIBED_FOR
 
 
 @click.command()

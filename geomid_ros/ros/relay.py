@@ -25,7 +25,6 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from geomid_ros.api.feedforward import fill_efforts, robot_to_move
-from geomid_ros.api.options import FillOptions
 from geomid_ros.control.correction import LONGEST_FAULT, Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import GeomidError, InputError, one_line
@@ -37,6 +36,7 @@ from geomid_ros.ros.diagnostics import status_message
 from geomid_ros.ros.inputs import given_parameters
 from geomid_ros.ros.outputs import inertia_message, ros_time
 from geomid_ros.session.configuration import AT_START, Parameter
+from geomid_ros.session.options import FillOptions
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 

@@ -16,20 +16,20 @@ import pytest
 from files.recordings import BAGS
 
 import geomid_ros
-from geomid_ros.api.options import (
-    ComparedResults,
-    ExportOptions,
-    FleetOptions,
-    IdentifyOptions,
-    PayloadOptions,
-    RecordingOptions,
-    RobotOptions,
-)
 from geomid_ros.api.robot import configuration
 from geomid_ros.commands import root
 from geomid_ros.options import explained, numbers_in
 from geomid_ros.session.configuration import find_parameter
-from geomid_ros.session.options import MotionOptions
+from geomid_ros.session.options import (
+    ComparedResults,
+    ExportOptions,
+    FleetOptions,
+    IdentifyOptions,
+    MotionOptions,
+    PayloadOptions,
+    RecordingOptions,
+    RobotOptions,
+)
 from geomid_ros.session.recordings import HELD_OUT
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"

@@ -18,7 +18,6 @@ from files.recordings import BAGS, QUICK
 import geomid_ros
 from benchmarks.adaptation import LATE, SLOW, Robot
 from geomid_ros.api.feedforward import robot_to_move
-from geomid_ros.api.options import FillOptions
 from geomid_ros.control.correction import (
     FASTEST,
     LARGEST_SHARE,
@@ -36,6 +35,7 @@ from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ONE_BODY
+from geomid_ros.session.options import FillOptions
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 

@@ -6,12 +6,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.api.options import RobotOptions
 from geomid_ros.api.robot import topics
 from geomid_ros.errors import InputError
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
+from geomid_ros.session.options import RobotOptions
 from geomid_ros.types import FloatArray
 
 from .robots import GRAVITY, Reference, random_samples, urdf, with_values
