@@ -9,10 +9,9 @@ from contextlib import AbstractContextManager, contextmanager
 
 _LONGEST = 4000  # characters in a message
 _NO_MEMORY = ("failed to map segment", "annot allocate memory", "ould not allocate memory", "Unable to allocate")
-TOO_LITTLE_MEMORY = (
+_TOO_LITTLE_MEMORY = (
     "too little memory: geomid needs 1 GB plus the size of its recordings; check limits such as ulimit -v"
 )
-"""Message if memory runs out."""
 _LONGEST_GUESS = 200  # characters in a name
 _LEAST_MEMORY = 500_000_000  # bytes of address space: with less, libraries crash or hang
 _ON_PYPI = {
@@ -51,13 +50,23 @@ def printable(message: str) -> str:
 
 
 def check_memory() -> None:
-    """Raise GeomidError if the process may not use enough memory."""
+    """Raise GeomidError if the process may not use enough memory; import hashlib while there is some: if it fails
+    later, it logs a traceback for each hash."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _LEAST_MEMORY:
-        raise GeomidError(TOO_LITTLE_MEMORY)
+        raise GeomidError(_TOO_LITTLE_MEMORY)
+    import hashlib  # noqa: F401, PLC0415
 
 
-def is_lack_of_memory(error: BaseException) -> bool:
+def error_message(error: Exception) -> str:
+    """Message for the user about an error that ends a program: one of this package, lack of memory, or a library that
+    is not installed. Empty for any other, which is a mistake in this package."""
+    if isinstance(error, GeomidError):
+        return str(error)
+    return _TOO_LITTLE_MEMORY if _is_lack_of_memory(error) else _missing_library(error)
+
+
+def _is_lack_of_memory(error: BaseException) -> bool:
     """True if an error or one of its causes reports a lack of memory. Libraries use different words for it, so their
     messages are searched."""
     causes: list[BaseException] = []
@@ -68,12 +77,7 @@ def is_lack_of_memory(error: BaseException) -> bool:
     return any(isinstance(e, MemoryError) or any(word in str(e) for word in _NO_MEMORY) for e in causes)
 
 
-def load_hashes() -> None:
-    """Import hashlib while there is memory: if it fails later, it logs a traceback for each hash."""
-    import hashlib  # noqa: F401, PLC0415
-
-
-def missing_library(error: BaseException) -> str:
+def _missing_library(error: BaseException) -> str:
     """Return advice if the error is a library that is not installed; empty for any other error."""
     name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     if not name or name == __package__:

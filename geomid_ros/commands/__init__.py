@@ -14,15 +14,7 @@ import click
 from click.shell_completion import CompletionItem
 
 import geomid_ros
-from geomid_ros.errors import (
-    TOO_LITTLE_MEMORY,
-    GeomidError,
-    check_memory,
-    is_lack_of_memory,
-    load_hashes,
-    missing_library,
-    unknown_name,
-)
+from geomid_ros.errors import GeomidError, check_memory, error_message, unknown_name
 
 COMMANDS = {
     "compare": "Compare two results of one robot.",
@@ -69,7 +61,6 @@ class _Group(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         if cmd_name not in COMMANDS:
             raise _Failure(str(unknown_name("command", cmd_name, COMMANDS)))
-        load_hashes()
         command: click.Command = getattr(
             import_module(f"geomid_ros.commands.{_HOMES.get(cmd_name, cmd_name)}"), cmd_name
         )
@@ -137,10 +128,7 @@ def main() -> None:
         finally:
             click.echo(nl=False)  # what is still buffered may fail to be written
     except Exception as error:  # libraries raise various errors when memory runs out
-        missing = missing_library(error) if isinstance(error, ImportError | OSError) else ""
-        sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing
-        sentence = str(error) if isinstance(error, GeomidError) else sentence
-        if not sentence:
+        if not (sentence := error_message(error)):
             raise
         click.echo(f"Error: {sentence}", err=True)
         sys.exit(2)

@@ -10,14 +10,7 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING
 
-from geomid_ros.errors import (
-    TOO_LITTLE_MEMORY,
-    GeomidError,
-    check_memory,
-    is_lack_of_memory,
-    load_hashes,
-    missing_library,
-)
+from geomid_ros.errors import check_memory, error_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,22 +34,16 @@ def run_program(name: str, run: Callable[[], None]) -> None:
     on_signal(lambda: os._exit(0))
     try:
         check_memory()
-        load_hashes()
         from geomid_ros.ros.startup import check_arguments  # noqa: PLC0415
 
         check_arguments()
         run()
-    except GeomidError as error:
-        sentence = str(error)
-    except (MemoryError, ImportError, OSError) as error:
-        sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing_library(error)
-        if not sentence:
+    except Exception as error:  # libraries raise various errors when memory runs out
+        if not (sentence := error_message(error)):
             raise
-    else:
-        return
-    print(f"{name}: {sentence}", file=sys.stderr)
-    sys.stderr.flush()
-    os._exit(2)  # partly loaded libraries crash when unloaded, and a signal meanwhile would be the status
+        print(f"{name}: {sentence}", file=sys.stderr)
+        sys.stderr.flush()
+        os._exit(2)  # partly loaded libraries crash when unloaded, and a signal meanwhile would be the status
 
 
 def on_signal(act: Callable[[], object]) -> None:
