@@ -34,7 +34,8 @@ from geomid_ros.fleet.work import FleetPlan, Store, sum_of_summaries, summarise,
 from geomid_ros.model.channels import Channel
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics
-from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recording import simulate
 from geomid_ros.types import FloatArray
 
 sys.path.append(str(Path(__file__).parents[1] / "test"))  # whose simulated types are used here

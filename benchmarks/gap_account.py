@@ -37,7 +37,7 @@ from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.effects import Effect, effect_class
 from geomid_ros.session.session import save
 from geomid_ros.session.written_simulation import write_found
-from geomid_ros.simulation import simulate
+from geomid_ros.simulation.recording import simulate
 
 _WITHIN = 0.05  # of what verify says
 

@@ -36,7 +36,8 @@ from geomid_ros.session.recordings import HELD_OUT, Topics, read_samples, split_
 from geomid_ros.session.review import faulty_streams
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
-from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recording import simulate
 from geomid_ros.simulation.robots import robot_description
 
 _FOLDER = Path("out/ablation")

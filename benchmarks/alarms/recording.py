@@ -14,11 +14,10 @@ import numpy as np
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.live.inbox import Received
 from geomid_ros.signals.messages import JOINT_STATES
-from geomid_ros.simulation import Hidden, SimulationOptions
 from geomid_ros.simulation.bag import START, write_bag
 from geomid_ros.simulation.description import UrdfLimits
 from geomid_ros.simulation.motion import FADE_IN, SetPoints, exciting_motion
-from geomid_ros.simulation.options import RandomStream, generator
+from geomid_ros.simulation.options import Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic import RealisticLoop, RealisticRobot, build_realistic
 from geomid_ros.simulation.recording import sampling

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
-from geomid_ros.simulation.options import GEARS
+from geomid_ros.simulation.effects.effect_sizes import SIZES
+from geomid_ros.simulation.options import GEARS, Hidden, SimulationOptions
+from geomid_ros.simulation.robots import WRIST_FRAME
 
 OUTSIDE = ("cogging", "cable_force", "drift", "position_friction", "joint_coupling")
 """Effects that the workflow has no name for."""
-LIBRARY = tuple(effect for effect in EFFECTS if effect not in OUTSIDE)
+LIBRARY = tuple(effect for effect in SIZES if effect not in OUTSIDE)
 """Effects that the workflow can name."""
 KINDS = ("single", "double", "none", "outside", "large_inertia_errors")
 

@@ -11,19 +11,12 @@ from click.core import ParameterSource
 from geomid_ros.commands.options import Names, Output, options_of
 from geomid_ros.commands.terminal import progress_bar
 from geomid_ros.errors import InputError
-from geomid_ros.simulation import (
-    EFFECTS,
-    LINK_MASS,
-    NOTHING,
-    WRIST_FRAME,
-    Hidden,
-    SimulationOptions,
-    parse_hidden,
-    robot_names,
-)
+from geomid_ros.simulation.effects.effect_sizes import SIZES
+from geomid_ros.simulation.options import LINK_MASS, NOTHING, Hidden, SimulationOptions, parse_hidden
+from geomid_ros.simulation.robots import WRIST_FRAME, robot_names
 
 if TYPE_CHECKING:
-    from geomid_ros.simulation import SimulationResult
+    from geomid_ros.simulation.recording import SimulationResult
 
 _SAID = ParameterSource.COMMANDLINE
 _OF_WALKS = ("robot", "duration", "rate", "seed", "motion_seed", "inertia_error")
@@ -39,7 +32,7 @@ Hide a physical effect; may be repeated:
 
 
 @click.command(
-    epilog=f"Effects: {', '.join(EFFECTS)}. For an unknown joint or parameter, the error lists the valid ones."
+    epilog=f"Effects: {', '.join(SIZES)}. For an unknown joint or parameter, the error lists the valid ones."
 )
 @click.argument("out", type=Output(within=True))
 @click.option(
@@ -72,7 +65,7 @@ def simulate(
     robot has other inertias, and friction, rotor inertia and offsets at every joint; with --hide, only the named
     effects. Needs MuJoCo (pip install mujoco).
     """
-    from geomid_ros.simulation import simulate as record
+    from geomid_ros.simulation.recording import simulate as record
 
     if feet or imu:
         context = click.get_current_context()

@@ -16,8 +16,8 @@ import pytest
 from files.recordings import BAGS, QUICK
 
 import geomid_ros
-from geomid_ros.simulation import SimulationOptions, simulate
-from geomid_ros.simulation.options import Hidden
+from geomid_ros.simulation.options import Hidden, SimulationOptions
+from geomid_ros.simulation.recording import simulate
 
 ROOT = Path(__file__).parents[2]
 LEVEL = 1.0  # of the friction that is hidden at joint2 [N m]

@@ -14,7 +14,8 @@ from files.recordings import BAGS, QUICK, Recorded, altered
 
 import geomid_ros
 from geomid_ros.files.models.estimate_file import EstimateFile, HandoverEntry
-from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recording import simulate
 
 JOINT = "joint2"
 Change = Callable[[float, float, float, float], float]  # of position, velocity, effort and time [s]

@@ -16,8 +16,8 @@ from geomid_ros.files.models.effects_file import read_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.robot import Robot
-from geomid_ros.simulation import SimulationOptions, simulate
-from geomid_ros.simulation.options import Hidden
+from geomid_ros.simulation.options import Hidden, SimulationOptions
+from geomid_ros.simulation.recording import simulate
 
 from .running import done, geomid, refused
 

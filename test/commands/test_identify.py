@@ -20,7 +20,8 @@ from geomid_ros.commands.terminal import plain_table
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, effect_class
 from geomid_ros.model.robot import Robot
-from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recording import simulate
 
 from .running import NO_CHOICE, WRIST, done, found_only, geomid, identify, link, read, refused
 

@@ -15,7 +15,8 @@ from files.recordings import BAGS, QUICK, Recorded, altered, recorded, write_bag
 
 import geomid_ros
 from geomid_ros.files.models import urdf
-from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recording import simulate
 
 from .running import NO_CHOICE, done, geomid, read, refused
 

@@ -36,7 +36,8 @@ from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.session.options import FillOptions
-from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recording import simulate
 from geomid_ros.types import FloatArray
 
 URDF = BAGS / "arm7.urdf"

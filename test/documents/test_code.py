@@ -24,7 +24,8 @@ import geomid_ros
 from geomid_ros.commands import root
 from geomid_ros.estimation import paper_estimator
 from geomid_ros.session.configuration import PARAMETERS, Configuration
-from geomid_ros.simulation import EFFECTS, NOTHING, parse_hidden
+from geomid_ros.simulation.effects.effect_sizes import SIZES
+from geomid_ros.simulation.options import NOTHING, parse_hidden
 
 from .reading import DOCUMENTS, NOTEBOOK, ROOT, Block, blocks, cells, outputs, spans, text_of
 
@@ -78,7 +79,7 @@ def test_commands_exist_with_their_options() -> None:
                 if isinstance(parameter.type, click.Choice):
                     assert value in parameter.type.choices, f"{document}: {value}"
                 if parameter.name == "hide":
-                    assert parse_hidden(value).effect in {*EFFECTS, NOTHING}, f"{document}: {value}"
+                    assert parse_hidden(value).effect in {*SIZES, NOTHING}, f"{document}: {value}"
 
 
 def test_the_commands_are_seen() -> None:

@@ -40,7 +40,8 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session, save
-from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recording import simulate
 from geomid_ros.types import FloatArray
 
 mujoco = pytest.importorskip("mujoco")

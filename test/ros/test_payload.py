@@ -13,8 +13,8 @@ from geometry_msgs.msg import InertiaStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from geomid_ros.simulation import SimulationOptions, simulate
-from geomid_ros.simulation.options import Hidden
+from geomid_ros.simulation.options import Hidden, SimulationOptions
+from geomid_ros.simulation.recording import simulate
 
 from .observer import latched
 from .spoiling import later

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from files.recordings import chunks, with_checksums
 
-from geomid_ros.simulation import SimulationOptions, SimulationResult, simulate
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recording import SimulationResult, simulate
 from geomid_ros.simulation.robots import WRIST_FRAME
 from geomid_ros.types import FloatArray
 

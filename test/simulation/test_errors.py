@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation import Hidden, SimulationOptions, simulate
+from geomid_ros.simulation.options import Hidden, SimulationOptions
+from geomid_ros.simulation.recording import simulate
 from geomid_ros.simulation.robots import robot_description
 
 QUICK = SimulationOptions(robot="arm3", duration=1.0)

@@ -12,11 +12,12 @@ import yaml
 from files.recordings import QUICK
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions, parse_hidden, simulate
 from geomid_ros.simulation.description import read_description
-from geomid_ros.simulation.effects.effect_sizes import chosen_effects
+from geomid_ros.simulation.effects.effect_sizes import SIZES, chosen_effects
 from geomid_ros.simulation.effects.physics import TrueEffect
-from geomid_ros.simulation.robots import robot_description
+from geomid_ros.simulation.options import Hidden, SimulationOptions, parse_hidden
+from geomid_ros.simulation.recording import simulate
+from geomid_ros.simulation.robots import WRIST_FRAME, robot_description
 from geomid_ros.types import FloatArray
 
 from .reading import recorded
@@ -57,7 +58,7 @@ def test_what_is_no_number_is_refused(text: str) -> None:
         parse_hidden(text)
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", SIZES)
 def test_the_seed_decides_what_is_left_open(effect: str) -> None:
     drawn = [chosen(Hidden(effect), seed=seed)[0] for seed in range(8)]
     assert drawn == [chosen(Hidden(effect), seed=seed)[0] for seed in range(8)]

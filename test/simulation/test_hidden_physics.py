@@ -13,9 +13,11 @@ import pytest
 from files.recordings import QUICK
 from scipy.interpolate import CubicSpline
 
-from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
+from geomid_ros.simulation.effects.effect_sizes import SIZES
 from geomid_ros.simulation.effects.physics import noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
+from geomid_ros.simulation.options import Hidden, SimulationOptions
+from geomid_ros.simulation.robots import WRIST_FRAME
 from geomid_ros.types import FloatArray
 
 from .conftest import Run, simulated
@@ -133,7 +135,7 @@ ELSEWHERE = {"effort_delay", "joint_elasticity", "backlash"}
 
 
 def test_every_effect_is_checked() -> None:
-    assert FORMULAS.keys() | ELSEWHERE == set(EFFECTS)
+    assert FORMULAS.keys() | ELSEWHERE == set(SIZES)
 
 
 @pytest.mark.parametrize("effect", FORMULAS)

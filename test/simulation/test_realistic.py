@@ -13,10 +13,9 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation import Hidden, SimulationOptions, simulate
-from geomid_ros.simulation.options import LINK_MASS
+from geomid_ros.simulation.options import LINK_MASS, Hidden, SimulationOptions
 from geomid_ros.simulation.realistic import LuGre, RealisticRobot, arrival_mask, build_realistic
-from geomid_ros.simulation.recording import control_loop
+from geomid_ros.simulation.recording import control_loop, simulate
 from geomid_ros.types import FloatArray
 
 from .independent import true_urdf

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind.realistic.sizing import LEAST
-from geomid_ros.simulation import LINK_MASS
+from geomid_ros.simulation.options import LINK_MASS
 
 Place = tuple[str, str]
 """An effect's name and its joint; for the whole robot the joint is empty."""
