@@ -210,58 +210,67 @@ class Ranked:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class GapResult:
-    """Result of the gap workflow, for C channels.
+class GapSummary:
+    """Conclusions of the gap workflow, the same in a result and in its file.
 
     Attributes:
         verdict: in a word or two.
         findings: the named effects, the one that matters most first.
         links: those whose mass or first moment differs from the model, without payloads.
         unexplained: what no named effect explains.
-        unjudged: channels that move, but have no held-out sample at which the model can be blamed.
-        channels, units: names and units of the rows of all per-channel arrays.
-        floor: the noise's standard deviation ``(C,)``.
-        cutoff: of the low-pass in whose band noise and gap are [Hz].
-        gap: residuals of the models on held-out data, rest and reversals included; ``after`` is the written model's.
-        moving: residual of the written model where joints move one way ``(C,)``, in units of the floor.
-        located: variables that explain each channel's first remainder.
-        ranking: all candidates, the best first.
-        trace: held-out data with predictions.
-        bodies, inertias: the identified links, and their parameters ``(bodies, 10)`` in the final model, payloads not
-            included (pinocchio's order, about the link's origin).
-        coefficients: those of the effects that the model had before, in its order; NaN where it had none or a sure
-            finding replaces it.
-        beside: the effects that it had in addition to its coefficients, except those that a sure finding replaces.
         ordinary: starting from a URDF, which has none of them: friction, rotor inertia and offsets of all joints that
             are not in a sure finding, as ``identify`` finds them.
-        folded: change of the attributes of joints (as ``dynamics/damping``) of a URDF and an MJCF from the model's,
-            because these cannot represent all friction; by joint and attribute.
-        newly_folded: its change from the model before: what a file with a separate fit has not folded yet.
+        located: variables that explain each channel's first remainder.
+        ranking: all candidates, the best first.
+        cutoff: of the low-pass in whose band noise and gap are [Hz].
         seconds: duration of the search.
+        unjudged: channels that move, but have no held-out sample at which the model can be blamed.
     """
 
     verdict: Verdict
     findings: tuple[Finding, ...]
     links: tuple[LinkChange, ...]
     unexplained: tuple[Unexplained, ...]
+    ordinary: tuple[KnownEffect, ...]
+    located: tuple[ResidualDependence, ...]
+    ranking: tuple[Ranked, ...]
+    cutoff: float
+    seconds: float
+    unjudged: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GapResult(GapSummary):
+    """Result of the gap workflow, for C channels.
+
+    Attributes:
+        channels, units: names and units of the rows of all per-channel arrays.
+        floor: the noise's standard deviation ``(C,)``.
+        gap: residuals of the models on held-out data, rest and reversals included; ``after`` is the written model's.
+        moving: residual of the written model where joints move one way ``(C,)``, in units of the floor.
+        trace: held-out data with predictions.
+        bodies, inertias: the identified links, and their parameters ``(bodies, 10)`` in the final model, payloads not
+            included (pinocchio's order, about the link's origin).
+        coefficients: those of the effects that the model had before, in its order; NaN where it had none or a sure
+            finding replaces it.
+        beside: the effects that it had in addition to its coefficients, except those that a sure finding replaces.
+        folded: change of the attributes of joints (as ``dynamics/damping``) of a URDF and an MJCF from the model's,
+            because these cannot represent all friction; by joint and attribute.
+        newly_folded: its change from the model before: what a file with a separate fit has not folded yet.
+    """
+
     channels: tuple[str, ...]
     units: tuple[str, ...]
     floor: FloatArray
-    cutoff: float
     gap: GapErrors
     moving: FloatArray
-    located: tuple[ResidualDependence, ...]
-    ranking: tuple[Ranked, ...]
     trace: Trace
     bodies: tuple[str, ...]
     inertias: FloatArray
     coefficients: FloatArray
     beside: tuple[KnownEffect, ...]
-    ordinary: tuple[KnownEffect, ...]
     folded: Mapping[tuple[str, str], float]
     newly_folded: Mapping[tuple[str, str], float]
-    seconds: float
-    unjudged: tuple[str, ...] = ()
 
     @property
     def corrected_floor(self) -> FloatArray:

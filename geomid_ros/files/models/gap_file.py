@@ -8,7 +8,7 @@ null.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -19,26 +19,10 @@ from geomid_ros.checks.causes import RecordingFault as Doubt
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.schema import FORMAT, attributes_entry, from_document, read_document, to_document
-from geomid_ros.gap.result import (
-    Finding,
-    GapErrors,
-    GapResult,
-    LinkChange,
-    Ranked,
-    ResidualDependence,
-    Rival,
-    Trace,
-    Unexplained,
-    effort_gains,
-)
+from geomid_ros.gap.result import GapErrors, GapResult, GapSummary, Rival, Trace, effort_gains
 from geomid_ros.model.effects import KnownEffect, effect_class
 from geomid_ros.types import FloatArray
 
-_AS_FOUND = (
-    *("verdict", "findings", "links", "unexplained", "unjudged", "ordinary"),
-    *("located", "ranking", "cutoff", "seconds"),
-)
-"""Fields that are the same in the file and in the result."""
 _KINDS = ("before", "inertias_only", "after", "expected")
 ErrorsByStage: TypeAlias = Mapping[str, Mapping[str, float]]
 Parameters: TypeAlias = Annotated[FloatArray, (10,)]
@@ -67,13 +51,11 @@ class CauseEntry(Cause):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class GapFile:
+class GapFile(GapSummary):
     """Everything that the page of a gap needs.
 
     Attributes:
         source: names it in messages.
-        verdict, findings, links, unexplained, unjudged, ordinary, located, ranking: see
-            :class:`~geomid_ros.gap.result.GapResult`, the most certain first.
         gap: residuals of held-out samples by channel, in units of the noise floor: ``before``, ``inertias_only``,
             ``after`` (the written model, which contains the confident findings), ``expected`` and ``moving``.
         floor: standard deviation of the noise by channel [N m, N], with efforts corrected by the gains that were found.
@@ -81,7 +63,7 @@ class GapFile:
             channel, in units of the error due to noise; None if they were not simulated.
         closed_loop: the same for efforts in closed loop under the recorded commands.
         units: by channel.
-        bodies, cutoff, seconds: bodies before and after; cutoff of the low-pass [Hz]; duration of the search.
+        bodies: before and after.
         robot, recordings: names.
         known: effects of the model before.
         judged_seconds, not_simulated: duration of held-out data; why nothing was simulated, or empty.
@@ -90,21 +72,12 @@ class GapFile:
     """
 
     source: str
-    verdict: str
-    findings: tuple[Finding, ...]
-    links: tuple[LinkChange, ...]
-    unexplained: tuple[Unexplained, ...]
-    ordinary: tuple[KnownEffect, ...]
     gap: ErrorsByStage
     floor: Mapping[str, float]
     resimulated: ErrorsByStage | None
     closed_loop: ErrorsByStage | None
     units: Mapping[str, str]
-    located: tuple[ResidualDependence, ...]
-    ranking: tuple[Ranked, ...]
     bodies: tuple[BodyEntry, ...]
-    cutoff: float
-    seconds: float
     robot: str
     recordings: tuple[str, ...]
     judged_seconds: float
@@ -113,7 +86,6 @@ class GapFile:
     causes: tuple[CauseEntry, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
-    unjudged: tuple[str, ...] = ()
 
     @staticmethod
     def of(document: Mapping[str, Any], source: str) -> GapFile:
@@ -142,7 +114,7 @@ class GapFile:
         motion, nothing = np.zeros((0, 0)), np.zeros((0, len(channels)))  # the file has no samples
         predicted = dict.fromkeys(("load", "measured", "before", "inertias_only", "after"), nothing)
         return GapResult(
-            **{name: getattr(self, name) for name in _AS_FOUND},
+            **{field.name: getattr(self, field.name) for field in fields(GapSummary)},
             channels=channels,
             units=tuple(self.units[name] for name in channels),
             floor=floor * effort_gains(self.findings, channels),
