@@ -282,7 +282,7 @@ def _payload(fit: EffectsFit, link: int) -> tuple[FloatArray, FloatArray]:
     values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(fit.point.pseudo_inertias[place]))
     derivative = physical_sensitivity(fit.point)[place]
     by_gain = GAIN * np.concatenate([values[:1], np.zeros(3), values[4:]])
-    return values, derivative @ fit.inverse[rows, rows] @ derivative.T + np.outer(by_gain, by_gain)
+    return values, derivative @ fit.inverse_from_data[rows, rows] @ derivative.T + np.outer(by_gain, by_gain)
 
 
 def first_moment(found: EffectsFit, candidate: Candidate) -> dict[str, Quantity]:

@@ -18,6 +18,7 @@ import numpy as np
 from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.link_priors import alike_rows, individual_std_cost, reestimated_individual_stds
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, fit_scales
+from geomid_ros.estimation.uncertainty import with_enlarged_prior
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import Packed
@@ -85,6 +86,19 @@ class JointFit(Generic[Chosen, Term]):
     def inverse(self) -> FloatArray:
         """Inverse of the information ``(D, D)``."""
         return spd.inverse(self.information)
+
+    @cached_property
+    def inverse_from_data(self) -> FloatArray:
+        """Inverse of the information ``(D, D)`` if the prior errors of the links were three times as large: a body that
+        is known even then is known from the data, not from the default inertias of its neighbours."""
+        links = 10 * len(self.prior_stds)
+        from_links = np.sqrt(self.weights[:links]) * self.inverse[:, :links]
+        return with_enlarged_prior(self.inverse, from_links @ from_links.T)
+
+    def body_covariance(self, place: int) -> FloatArray:
+        """Covariance ``(10, 10)`` of the parameters of a body, from the data."""
+        rows, jacobian = self.manifold.link(place), self.manifold.jacobian(self.point)[0][place]
+        return np.asarray(jacobian @ self.inverse_from_data[rows, rows] @ jacobian.T)
 
     @property
     def covariance(self) -> FloatArray:
@@ -344,4 +358,5 @@ def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen,
     moved = (slopes - np.mean(slopes, axis=0)) @ found.inverse
     squares = BLOCKS / (BLOCKS - 1.0) * np.sum(moved**2, axis=0)
     factors = np.sqrt(np.maximum(squares / np.diag(found.inverse), 1.0))
-    return replace(found, packed=Packed.of(found.information / np.outer(factors, factors)))
+    packed = Packed.of(found.information / np.outer(factors, factors))
+    return replace(found, packed=packed, weights=found.weights / factors**2)

@@ -123,12 +123,12 @@ class Supports(Generic[Chosen, Term]):
         almost flat."""
         current = self._found
         values, places = current.changes[candidate], _places(current, candidate)
-        narrowed = 0.0
+        narrowed, covariance = 0.0, self._covariance[np.ix_(places, places)]
         if candidate.payload is not None:
-            values, places = values[:4], places[:4]
+            values, covariance = values[:4], self._sized.body_covariance(places[0] // 10)[:4, :4]
         else:
             narrowed = -float(np.linalg.slogdet(current.inverse[np.ix_(places, places)] * current.weights[places])[1])
-        square = float(values @ np.linalg.solve(self._covariance[np.ix_(places, places)], values))
+        square = float(values @ np.linalg.solve(covariance, values))
         wider = 1.0 + self.relative_std(candidate) ** 2 * square  # of the covariance's determinant
         size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
         return size - (price if size > SIGNIFICANT_STDS**2 else max(price, SIGNIFICANT_STDS**2))

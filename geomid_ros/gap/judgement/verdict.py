@@ -185,8 +185,7 @@ def changed_links(model: MeasurementModel, analysis: Analysis) -> tuple[LinkChan
 
 def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange]:
     names, search = analysis.effects, analysis.search
-    covariance = scattered(search.design, names).covariance
-    nominal, stds = search.prior.inertias.reshape(-1, 10), np.sqrt(np.diag(covariance))
+    sized, nominal = scattered(search.design, names), search.prior.inertias.reshape(-1, 10)
     prior = with_given_stds(search.prior, names.inflation)
     free = fit(search.design, prior, names.chosen, names, names.prior_stds).score
     for link, was in enumerate(nominal):
@@ -195,14 +194,13 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
             continue
         if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # no link has more mass than the robot, nor has a payload
             continue
-        doubt = relative_std_from_remainder(search.design, names, link, change)
-        std = np.hypot(stds[10 * link : 10 * link + 10], doubt * change)
+        doubt, covariance = relative_std_from_remainder(search.design, names, link, change), sized.body_covariance(link)
+        std = np.hypot(np.sqrt(np.diag(covariance)), doubt * change)
         deviations, moment, centre = (change / std)[:1], {}, {}
         if is_changed_link and abs(deviations[0]) < np.max(np.abs(change / std)[1:4]):
             deviations, moment = (change / std)[1:4], library.moment_of(change[1:4], std[1:4])
         if search.prior.identified and not moment:
-            rows = slice(10 * link, 10 * link + 4)
-            centre = _centre(change, covariance[rows, rows])
+            centre = _centre(change, covariance[:4, :4])
         prior_stds = names.prior_stds.copy()
         prior_stds[link] = _HELD * search.prior.prior_std
         loss = fit(search.design, prior, names.chosen, names, prior_stds).score - free
