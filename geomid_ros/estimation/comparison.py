@@ -10,8 +10,9 @@ Single inertial parameters are mostly known in combinations only: a mass that ch
 interval of each number. Here the links are the same robot's in both results, except for those that changed. Both
 log-likelihoods are functions of the link parameters. The change of one link is tested by how much better it explains
 the difference, -2 log p. If nothing has changed, this is chi-square distributed with at most ten degrees of freedom.
-Links are added one by one, the best first (stepwise), until no other explains more than chance. The effects are
-eliminated: friction may differ from day to day.
+Links are added one by one, the best first (stepwise), until no other explains more than chance. No model follows what a
+changed link adds to the efforts exactly: a tenth of it counts as an error, spread over all directions in which the
+results can contradict each other. The effects are eliminated: friction may differ from day to day.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import QUANTITIES, STDS_OF_95, UNITS, LinksInformation, UncertainInertia
+from geomid_ros.estimation.estimate import LACKING, QUANTITIES, STDS_OF_95, UNITS, LinksInformation, UncertainInertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.geometry.pseudo_inertia import SIZE
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
@@ -254,19 +255,21 @@ def changed_links(
     problem = _LinkChanges(first, second)
     changed: list[int] = []
     gains: list[tuple[float, list[str]]] = []
+    inflation = 1.0
     while len(changed) < len(names):
         remaining = [link for link in range(len(names)) if link not in changed]
         errors = {link: problem.solved([*changed, link])[0] for link in remaining}
         best = min(remaining, key=errors.__getitem__)
         gain = problem.solved(changed)[0] - errors[best]
-        if gain <= limit:
+        if gain <= inflation * limit:
             break
         rivals = [names[link] for link in remaining if link != best and errors[link] - errors[best] < alike]
         changed.append(best)
         gains.append((gain, rivals))
+        inflation += LACKING**2 * gain / problem.contradictions
     return tuple(
         ChangedLink(names[link], gain, mass, dict(zip("xyz", moment, strict=True)), tuple(rivals))
-        for link, (gain, rivals), (mass, *moment) in zip(changed, gains, problem.sizes(changed), strict=True)
+        for link, (gain, rivals), (mass, *moment) in zip(changed, gains, problem.sizes(changed, inflation), strict=True)
     )
 
 
@@ -298,6 +301,15 @@ class _LinkChanges:
             both.append((rows, information.residuals + information.rows @ offset))
         return both
 
+    @cached_property
+    def contradictions(self) -> float:
+        """Number of directions in which the results can contradict each other: those that both determine."""
+        first, second = (rows.T @ rows for rows, _ in self._whitened)
+        unknown = [
+            float(np.trace(np.linalg.inv(np.eye(len(known)) + known))) for known in (first, second, first + second)
+        ]
+        return len(first) + unknown[2] - unknown[0] - unknown[1]
+
     def solved(self, changed: Sequence[int]) -> tuple[float, FloatArray, FloatArray]:
         """Least squared error if these links have changed, their changes ``(10 changed,)`` in coordinates, and the
         covariance of the changes."""
@@ -316,13 +328,13 @@ class _LinkChanges:
         solution = inverse @ projected
         return float(np.sum((targets - rows @ solution) ** 2)), solution[size:], covariance[size:, size:]
 
-    def sizes(self, changed: Sequence[int]) -> list[list[Quantity]]:
-        """Increases of mass and first moment of each changed link."""
+    def sizes(self, changed: Sequence[int], inflation: float) -> list[list[Quantity]]:
+        """Increases of mass and first moment of each changed link; ``inflation``: factor of all variances."""
         _, changes, covariance = self.solved(changed)
         increases = []
         for place, link in enumerate(changed):
             block, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobians[1][link][: len(_UNITS)]
-            std = np.sqrt(np.diag(rows @ covariance[block, block] @ rows.T))
+            std = np.sqrt(inflation * np.diag(rows @ covariance[block, block] @ rows.T))
             values = (rows @ changes[block]).tolist()
             increases.append([Quantity(*entry) for entry in zip(values, std.tolist(), _UNITS, strict=True)])
         return increases

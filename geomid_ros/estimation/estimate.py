@@ -135,6 +135,8 @@ def quantities_and_moments(parameters: FloatArray) -> FloatArray:
 
 SIGNIFICANT_STDS = 3.0
 """Ratio of a quantity or effect to its standard deviation from which it is significant."""
+LACKING = 0.1
+"""Remainder of a model under the change of a body, as a fraction of the efforts that this adds."""
 FINEST = 1e7
 """Inverse of the smallest relative error of an inertia that data can resolve."""
 

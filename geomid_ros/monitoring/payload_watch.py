@@ -25,7 +25,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_products import usable
-from geomid_ros.estimation.estimate import Estimate, interval_of_positive
+from geomid_ros.estimation.estimate import LACKING, Estimate, interval_of_positive
 from geomid_ros.estimation.tolerances import LARGEST_STEP, ROUNDING, ROUNDS, SETTLED
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ONE_BODY, Point
@@ -36,7 +36,6 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 
 REMEMBERED = 20
 """Blocks since which a change is looked for; suspect blocks, and noise floors of stretches, that are kept."""
-_LACKING = 0.1  # remainder of the model under loads, as a fraction of the payload's efforts
 _SOON = 2  # blocks that show a large change; a small one needs the whole window
 
 
@@ -330,7 +329,7 @@ class PayloadWatch:
             squares = float(weighted[-1, -1])
             excess = max((squares - rows * noise.independent) / blocks, 0.0)
             unknown += 0.5 * blocks * max(excess - 1.0 - float(np.log(max(excess, 1.0))), 0.0)
-            inflation = 1.0 + _LACKING**2 * excess
+            inflation = 1.0 + LACKING**2 * excess
             inexact_gain = 0.5 * (squares * (1.0 - 1.0 / inflation) - blocks * float(np.log(inflation)))
             vagueness += inexact_gain
             parts.append(weighted / inflation)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import chdtri
@@ -34,8 +36,8 @@ def measured(
 
 
 def of_combinations(random: np.random.Generator) -> np.ndarray:
-    """Rows ``(200, 30)`` that tell 18 combinations of the parameters, and no single one."""
-    return random.standard_normal((200, 18)) @ random.standard_normal((18, 30))
+    """Rows ``(200, 30)`` that tell 26 combinations of the parameters, and no single one."""
+    return random.standard_normal((200, 26)) @ random.standard_normal((26, 30))
 
 
 def found(seed: int, change: dict[int, float]) -> tuple[ChangedLink, ...]:
@@ -74,6 +76,23 @@ def test_a_payload_far_larger_than_its_link_is_not_shared_out(seed: int) -> None
         (changed,) = changed_links(NAMES, *pair, LIMIT, ALIKE)
         assert changed.link == "hand"
         assert abs(changed.mass.value - sign * 8.0) < 4.0 * changed.mass.std
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_change_adds_is_known_to_a_tenth(seed: int) -> None:
+    """No other link is named for the rest, and the interval of the change allows for it."""
+    random = np.random.default_rng(seed)
+    before, rows = bodies(random), of_combinations(random)
+    after = before.copy()
+    after[2] *= 1.5
+    first, second = (measured(own, rows, random, before) for own in (before, after))
+    added = rows @ (after - before).ravel() / NOISE
+    errors = 0.05 * np.std(added) * random.standard_normal(len(rows))
+    pull = np.linalg.lstsq(rows / NOISE, errors, rcond=1e-9)[0]
+    information = replace(second.information, residuals=second.information.residuals + second.information.rows @ pull)
+    (changed,) = changed_links(NAMES, first, replace(second, information=information), LIMIT, ALIKE)
+    assert changed.link == "hand"
+    assert abs(changed.mass.value - 0.5 * before[2][0]) < 3.0 * changed.mass.std
 
 
 def test_nothing_is_named_where_nothing_changed() -> None:
