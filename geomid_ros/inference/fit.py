@@ -43,6 +43,7 @@ class JointFit(Generic[Chosen, Term]):
         prior_stds: prior standard deviations of the links' errors ``(links,)``, geodesic distances.
         inflation: factor on the variances of the other recordings.
         separate_prior_stds: prior standard deviations of the individual errors of the links that are alike ``(n,)``.
+        identified: True if the prior's links were identified, not guessed.
         changes: change ``(k,)`` of each candidate's coefficients from their known values, or its body's parameters.
     """
 
@@ -57,6 +58,7 @@ class JointFit(Generic[Chosen, Term]):
     prior_stds: FloatArray
     inflation: float
     separate_prior_stds: FloatArray
+    identified: bool
     changes: Mapping[Chosen, FloatArray] = field(default_factory=dict)
 
     @property
@@ -89,8 +91,10 @@ class JointFit(Generic[Chosen, Term]):
 
     @cached_property
     def inverse_from_data(self) -> FloatArray:
-        """Inverse of the information ``(D, D)`` if the prior errors of the links were three times as large: a body that
-        is known even then is known from the data, not from the default inertias of its neighbours."""
+        """Inverse of the information ``(D, D)`` if the prior errors of links that were not identified were three times
+        as large: a body that is known even then is known from the data, not from the URDF's other links."""
+        if self.identified:
+            return self.inverse
         links = 10 * len(self.prior_stds)
         from_links = np.sqrt(self.weights[:links]) * self.inverse[:, :links]
         return with_enlarged_prior(self.inverse, from_links @ from_links.T)
@@ -276,6 +280,7 @@ def _free_fit(
         prior_stds=link_stds,
         inflation=inflation,
         separate_prior_stds=individual_stds,
+        identified=prior.identified,
         changes=changes,
     )
 
@@ -312,6 +317,7 @@ def fit_of_prior(prior: Prior[Term]) -> JointFit[Any, Term]:
         prior_stds=prior.link_prior_stds,
         inflation=1.0,
         separate_prior_stds=prior.separate_prior_stds,
+        identified=prior.identified,
     )
 
 

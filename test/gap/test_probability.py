@@ -146,7 +146,7 @@ def test_how_common_names_are_counts_beside_what_one_is_worth() -> None:
 def test_a_drawing_s_inner_link_may_be_wrong_as_well_as_loaded() -> None:
     load = np.array([1.0, 0.3, 0.0, 0.2, 0.4, 0.0, 0.4, 0.0, 0.0, 0.4])
     design = Recording(3, [PAYLOAD]).design({}, LINK + load)
-    search = Selection(design, replace(PRIOR, certainty=100.0), [PAYLOAD])
+    search = Selection(design, replace(PRIOR, prior_std=0.05, certainty=100.0), [PAYLOAD])
     found = search.fit([PAYLOAD])
     for inner, least, most in (((), 0.99, 1.0), ((0,), 0.49, 0.5)):
         assert least < analysis._supports(search, found, inner)[PAYLOAD].probability <= most

@@ -463,7 +463,7 @@ def test_a_payload_s_parameters_are_as_sure_as_its_body() -> None:
     """By differences of mass, centre and central inertia with each of the body's ten parameters; and but for the gain
     of what is measured, which leaves the centre where it is."""
     design = Recording(2, []).design({}, 1.4 * LINK)
-    found = fit(design, replace(PRIOR, prior_std=1e-3, certainty=1e6), [PAYLOAD])
+    found = fit(design, replace(PRIOR, prior_std=1e-3, certainty=1e6, identified=True), [PAYLOAD])
     quantities = parameters(MODEL, found, PAYLOAD)
     body = np.asarray(pseudo_inertia.to_parameters(found.point.pseudo_inertias))[1]
 
@@ -480,6 +480,15 @@ def test_a_payload_s_parameters_are_as_sure_as_its_body() -> None:
     np.testing.assert_allclose([q.value for q in quantities.values()], said(body))
     np.testing.assert_allclose([q.std for q in quantities.values()], stds, rtol=1e-3)
     assert [q.unit for q in quantities.values()] == ["kg", *["m"] * 3, *["kg m^2"] * 6]
+
+
+def test_a_body_of_a_urdf_is_as_sure_as_the_data_make_it() -> None:
+    """As if the URDF's errors were three times as large; what data or another identification tell keeps its std."""
+    for identified, factor in ((False, 9.0), (True, 1.0)):
+        prior = replace(PRIOR, prior_std=5.0, certainty=1e6, identified=identified)
+        unseen, seen = fit_of_prior(prior), fit(designed(1), prior, ())
+        np.testing.assert_allclose(unseen.body_covariance(0), factor * unseen.covariance[:10, :10], atol=1e-12)
+        np.testing.assert_allclose(seen.body_covariance(0), seen.covariance[:10, :10], rtol=0.05, atol=1e-7)
 
 
 def test_parameters_of_a_spring_are_as_sure_as_its_coefficients_together() -> None:

@@ -245,7 +245,7 @@ def test_a_link_is_heavier_by_a_payload_that_the_simulator_lacks_and_its_frictio
     assert (change.link, change.joint, change.confidence) == ("link3", "joint3", "confident")
     assert result.verdict == "named"
     assert abs(change.mass.value - PAYLOAD) < 3.0 * change.mass.std
-    assert change.mass.std < 0.1 * PAYLOAD
+    assert change.mass.std < 0.3 * PAYLOAD
     assert "higher than in the model" in change.sentence
     assert not change.centre, "of a drawing's own link nobody knows where its mass is"
 
