@@ -137,7 +137,7 @@ def find_gap(
         gap=files.on_all,
         moving=files.gap.after,
         located=locate_residuals(bare, records, first, np.abs(records.rows(bare).targets - first)),
-        ranking=ranking(bare, analysis, named),
+        ranking=ranking(bare, analysis, named, result.findings),
         trace=files.trace,
         bodies=bare.body_names,
         inertias=result.inertias,

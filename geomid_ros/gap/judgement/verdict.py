@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -158,10 +158,17 @@ def verdict(analysis: Analysis, unseen: HeldOut, *, named: bool) -> Verdict:
 
 
 def ranking(
-    model: MeasurementModel, analysis: Analysis, named: Sequence[tuple[Candidate, Finding]]
+    model: MeasurementModel,
+    analysis: Analysis,
+    named: Sequence[tuple[Candidate, Finding]],
+    confirmed: Collection[Finding],
 ) -> tuple[Ranked, ...]:
-    """Rank the named effects as they were found, then the others by the score test."""
-    chosen = [Ranked(f.effect, model.places.name(c.place), f.loss, f.separability, True) for c, f in named]
+    """Rank the named effects as they were found, of which those are chosen that were ``confirmed``, then the others by
+    the score test."""
+    places = {(f.effect, f.joint, f.link) for f in confirmed}
+    chosen = [
+        Ranked(f.effect, f.joint, f.loss, f.separability, (f.effect, f.joint, f.link) in places) for _, f in named
+    ]
     others = [
         Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)
         for t in analysis.search.ranked(analysis.likely)
