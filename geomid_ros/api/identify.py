@@ -124,11 +124,13 @@ class Identification:
 
     @cached_property
     def _urdf_test(self) -> FileTest | None:
-        """Prediction error of identified.urdf, if :attr:`written` is another file."""
+        """Prediction error of identified.urdf, if :attr:`written` is another file that can represent more."""
         urdf = DescriptionTest(self.session, self.estimate, URDF)
         if self.written.name == urdf.name:
             return None
         test = urdf.evaluate(self.judged, self.rms)
+        if test.omissions == self.handover.omissions:
+            return None
         return replace(test, fuller_file=self.written.name) if self.reader in test.fuller else test
 
     @cached_property

@@ -14,6 +14,7 @@ from commands.running import WRIST, done, identify, undrawn
 from files.recordings import BAGS
 
 import geomid_ros
+from geomid_ros.exports.handover import FileTest
 from geomid_ros.files.models.posterior import read_remainder
 from geomid_ros.session.configuration import Configuration
 
@@ -112,6 +113,15 @@ def test_shapes_are_found_from_any_folder_or_missed_in_words(tmp_path: Path) -> 
         assert Path(file) == tmp_path / "meshes" / "a&b.obj"
     names = [mesh.get("filename") for mesh in ElementTree.fromstring(found.urdf()).iter("mesh")]
     assert names == [file, "package://none/gone.stl"]
+
+
+@pytest.mark.parametrize(("reader", "times"), [("gazebo", 1), ("mujoco", 2)])
+def test_the_plain_urdf_is_warned_of_if_it_holds_less_than_the_file(
+    reader: str, times: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither Gazebo's file nor a plain URDF has the rotors' inertias."""
+    monkeypatch.setattr(FileTest, "limited", property(lambda _: ["too plain"]))
+    assert geomid_ros.identify(BAG, URDF, reader=reader).verdict.warnings.count("too plain") == times
 
 
 @pytest.mark.usefixtures("without_pictures")
