@@ -93,20 +93,6 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
     assert (OFFSET.name, "joint1") in {(each.effect, each.joint) for each in ranked}
 
 
-def test_a_name_that_was_struck_is_not_chosen() -> None:
-    search = Selection(Recording(3, CANDIDATES).design({VISCOUS.terms[0]: 1.0}), PRIOR, CANDIDATES)
-    found = search.fit([VISCOUS, OFFSET])
-    unused: Any = None
-    whole = analysis.Analysis(
-        problem=unused, search=search, inertias_only=search.fit([]), effects=found, supports={}, floor=unused
-    )
-    named: Any = [
-        (c, SimpleNamespace(effect=c.name, joint="joint1", link="", loss=9.0, separability=1.0)) for c in found.chosen
-    ]
-    ranked = ranking(planted.model(), whole, named, [named[0][1]])
-    assert [each.chosen for each in ranked[:2]] == [True, False]
-
-
 def test_what_improves_the_fit_beside_a_name_as_well_is_no_rival_of_it() -> None:
     """Of a search that was ended before it had found the others."""
     design = Recording(4, CANDIDATES).design({c.terms[0]: 0.1 + 0.02 * k for k, c in enumerate(CANDIDATES)})
