@@ -149,21 +149,21 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
     """
     both = np.column_stack([parameters, model.described_parameters])
     measured, predicted = model.predict(Samples.concatenate(list(batches)), both)
-    errors = (predicted - measured[:, :, None]) ** 2
-    blocks = [block for block in np.array_split(errors, BLOCKS) if len(block)]
-    with np.errstate(invalid="ignore"):  # NaN where nothing was measured
-        means = [np.nansum(block, axis=0) / np.count_nonzero(np.isfinite(block), axis=0) for block in blocks]
-    return _worse(model, *np.moveaxis(np.array(means), 2, 0))
+    errors = ((predicted - measured[:, :, None]) ** 2).transpose(1, 2, 0)
+    return [channel.name for channel, each in zip(model.channels, errors, strict=True) if is_worse(*_block_means(each))]
+
+
+def _block_means(errors: FloatArray) -> FloatArray:
+    """Means ``(k, blocks)`` of k errors ``(k, N)`` in blocks of the instants at which they are known: a leg's joints
+    are measured only while it is in the air."""
+    blocks = np.array_split(errors[:, np.isfinite(errors).all(axis=0)], BLOCKS, axis=1)
+    return np.array([np.mean(block, axis=1) for block in blocks if block.size]).reshape(-1, len(errors)).T
 
 
 def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
     """Channels that parameters ``(D,)`` predict worse than the URDF on rows, beyond the scatter of the rows' folds."""
-    return _worse(model, *(rows.rms_by_fold(vector) ** 2 for vector in (parameters, model.described_parameters)))
-
-
-def _worse(model: MeasurementModel, errors: FloatArray, nominal: FloatArray) -> list[str]:
-    """Channels whose mean squared errors in blocks ``(blocks, channels)`` are larger than the URDF's."""
-    triples = zip(model.channels, errors.T, nominal.T, strict=True)
+    both = (rows.rms_by_fold(vector).T ** 2 for vector in (parameters, model.described_parameters))
+    triples = zip(model.channels, *both, strict=True)
     return [channel.name for channel, after, before in triples if is_worse(after, before)]
 
 

@@ -103,6 +103,19 @@ def test_a_channel_that_is_worse_than_by_the_urdf_is_named() -> None:
     assert worse_channels(case.model, [held_out], wrong) == ["joint2"]
 
 
+def test_a_channel_that_is_rarely_measured_is_judged_where_it_is() -> None:
+    """A leg is in the air for a quarter of the time."""
+    case, estimate = solved()
+    held_out = case.fresh(9).samples
+    effort = held_out.effort.copy()
+    effort[len(held_out) // 4 :, 1] = np.nan
+    rarely = replace(held_out, effort=effort)
+    assert worse_channels(case.model, [rarely], estimate.parameters) == []
+    assert worse_channels(case.model, [rarely], with_rotor(estimate.parameters)) == ["joint2"]
+    never = replace(held_out, effort=np.full_like(effort, np.nan))
+    assert worse_channels(case.model, [never], with_rotor(estimate.parameters)) == []
+
+
 def test_what_is_within_the_scatter_of_blocks_is_not_told() -> None:
     """One bad second of twenty says nothing: in the others nothing accelerates."""
     case, estimate = solved()
