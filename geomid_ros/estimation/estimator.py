@@ -484,11 +484,11 @@ def _known_sigmas(model: MeasurementModel, settings: EstimatorSettings, summary:
 
 
 def _still_warnings(model: MeasurementModel, summary: RowSummary) -> Iterator[str]:
-    """Yield a warning with all joints that never moved beside others that did, if any."""
+    """Yield a warning with all joints that were measured at rest alone, beside others, if any."""
     still = summary.never_moved
-    names = [repr(channel.name) for channel, each in zip(model.channels, still, strict=True) if each]
+    names = ", ".join(repr(channel.name) for channel, each in zip(model.channels, still, strict=True) if each)
     if names and not np.all(still):
-        yield f"never moved: {', '.join(names)}; friction and rotor inertia are unknown there; record them in motion"
+        yield f"never measured in motion: {names}; friction and rotor inertia are unknown there; record them in motion"
 
 
 def _geodesic_objective(fitted: Fit) -> GeodesicObjective:

@@ -147,7 +147,7 @@ def test_dry_friction_of_a_joint_that_never_moves_has_any_value() -> None:
     assert abs(offset.value - case.true.effects["effort_offset"][2]) < 4.0 * offset.std
     assert len(unseen) == 3
     assert all(effect.std > stiction for effect in unseen)
-    assert any(text.startswith("never moved: 'joint3';") for text in found.warnings)
+    assert any(text.startswith("never measured in motion: 'joint3';") for text in found.warnings)
 
 
 def test_a_link_is_no_better_known_than_a_rotor_that_is_one_with_it() -> None:
