@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.checks.causes import Cause
+from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.evidence import MOST
 from geomid_ros.checks.sample_reservoir import FEWEST, STEP
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, Estimate
@@ -107,6 +107,39 @@ def carried_weight(legs: Legs, samples: Samples) -> list[Cause]:
     return [Cause(kind="legs", sentence=sentence)]
 
 
+def reversed_efforts(legs: Legs, samples: Samples, names: Sequence[str], gains: FloatArray) -> list[Cause]:
+    """Report the legs' joints whose efforts support and move the robot only with the other sign, by both halves of the
+    samples. If most are reversed, the IMU may be upside down, see :func:`carried_weight`.
+
+    Efforts are scaled by a factor each to give the wrench that the URDF's links require of the ground. Friction and
+    other masses change the factors, but not their signs.
+
+    Args:
+        legs: of the robot.
+        samples: any of a recording.
+        names: of all joints.
+        gains: ``(joints,)`` factors on the messages' efforts.
+    """
+    parts, required = legs.balance(samples)
+    joints = np.concatenate(legs.joints)
+    known = np.flatnonzero(np.isfinite(parts).all(axis=(1, 2)))
+    if len(known) < FEWEST:
+        return []
+    scales = np.maximum(np.std(required[known], axis=0), np.finfo(float).tiny)
+    parts, required = parts[:, :, joints] / scales[:, None], required / scales
+    halves = [
+        np.linalg.lstsq(np.concatenate(parts[half]), required[half].ravel(), rcond=None)[0]
+        for half in np.array_split(known, 2)
+    ]
+    factors = np.mean(halves, axis=0)
+    contrary = joints[(factors < 0.0) & (np.ptp(halves, axis=0) < MOST * np.abs(factors))]
+    if not len(contrary) or np.mean(factors < 0.0) > MOST:
+        return []
+    places = [names[joint] for joint in contrary]
+    cause = Cause.of("sign", places, gain_settings(places, -gains[contrary], all_joints=False))
+    return [replace(cause, kind="legs")]
+
+
 def turned_imu(model: MeasurementModel, estimate: Estimate) -> list[str]:
     """Sentence if the IMU is rotated or biased by more than a degree; else empty."""
     offsets = [effect for effect in estimate.effects if effect_class(effect.name).place == "base"]
@@ -188,11 +221,13 @@ def gyroscope(legs: Legs, stretch: Samples) -> list[Cause]:
     parts = [(turning[usable[half]], moved[:, half]) for half in np.array_split(np.arange(len(usable)), 2)]
     if not all(np.any(by_legs) and np.all(np.any(shifted, axis=(1, 2))) for by_legs, shifted in parts):
         return []  # they can be compared only where both measure a rotation
-    late, angle, before, after = np.array([_compared(*part) for part in parts]).T
+    late, angle, ratio, before, after = np.array([_compared(*part) for part in parts]).T
     if np.any(after > MOST * np.minimum(before, MOST)):
         return []
     off = 1e9 * abs(float(np.mean(late)))
-    if off > STEP and np.ptp(late) < MOST * abs(np.mean(late)):
+    if np.all(ratio < MOST) or np.all(ratio > 1.0 / MOST):
+        fault = f"it measures {np.mean(ratio):.3g} times that rotation: publish it in rad/s"
+    elif off > STEP and np.ptp(late) < MOST * abs(np.mean(late)):
         word = ("late" if np.mean(late) > 0.0 else "early") + (" or more" if off > _SHIFTS[-2] else "")
         fault = f"its stamps are {1e-6 * off:.0f} ms {word}: synchronise its clock with that of the joints"
     elif np.mean(angle) > _TURNED_BY_LEGS and np.ptp(angle) < MOST * np.mean(angle):
@@ -220,12 +255,13 @@ def _interior(stretch: Samples) -> BoolArray:
     return np.asarray(inside & np.all([runs[end] == runs for end in ends], axis=0))
 
 
-def _compared(turning: FloatArray, moved: FloatArray) -> tuple[float, float, float, float]:
+def _compared(turning: FloatArray, moved: FloatArray) -> tuple[float, float, float, float, float]:
     """Compare the angular velocity from the legs ``(N, 3)`` with the gyroscope's at each shift ``(shifts, N, 3)``.
 
     Returns:
-        The delay of the gyroscope's stamps [s]; the angle of its rotation against its frame [rad]; and the fraction of
-        the legs' squared angular velocity that it leaves, as it is and corrected.
+        The delay of the gyroscope's stamps [s]; the angle of its rotation against its frame [rad]; the size of what it
+        measures over that of the legs; and the fraction of their squared angular velocity that it leaves, as it is and
+        corrected.
     """
     square = float(np.sum(turning**2))
     fits = [best_rotation(turning.T @ shifted) for shifted in moved]
@@ -241,4 +277,5 @@ def _compared(turning: FloatArray, moved: FloatArray) -> tuple[float, float, flo
         before, middle, after = residuals[best - 1 : best + 2]
         late += STEP * 0.5 * (before - after) / (before - 2.0 * middle + after)
     as_it_is = float(np.sum((turning - moved[len(moved) // 2]) ** 2))
-    return 1e-9 * late, rotation_angle(fits[best][0]), as_it_is / square, float(residuals[best]) / square
+    (axes, strength), size = fits[best], float(np.sum(moved[best] ** 2))
+    return 1e-9 * late, rotation_angle(axes), size / strength, as_it_is / square, float(residuals[best]) / square

@@ -16,7 +16,7 @@ from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.definite_faults import frozen_position, held_efforts, impossible_description, wrong_gains
 from geomid_ros.checks.effort_data import EffortData, is_measured
 from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
-from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet, unnamed_feet
+from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet, reversed_efforts, unnamed_feet
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples, RecentMotion, SampleReservoir
 from geomid_ros.checks.transforms import transforms
 from geomid_ros.checks.unexplained import badly_explained, hint, rms
@@ -81,7 +81,9 @@ class CheckTask:
         legs, samples = self.model.legs, excerpt.kept.samples
         if legs is None:
             return []
-        causes = [*carried_weight(legs, samples), *unnamed_feet(self.model.robot, legs, samples)]
+        robot = self.model.robot
+        causes = reversed_efforts(legs, samples, robot.joint_names, self.gains)
+        causes = causes or [*carried_weight(legs, samples), *unnamed_feet(robot, legs, samples)]
         return causes or ([] if excerpt.recent_stance is None else gyroscope(legs, excerpt.recent_stance))
 
     def _wrenches(self, excerpt: Excerpt) -> Iterator[RecordingFault]:

@@ -15,6 +15,7 @@ from geomid_ros.checks.effort_data import EffortData, largest_of_unit, moving
 from geomid_ros.checks.evidence import LEAST_SIGMA, MOST
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.moving_base import DIRECTIONS
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -141,18 +142,19 @@ def unexplained(
     return next(filter(None, findings), [])
 
 
-def unexplained_base(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[str]:
-    """Sentence on the forces and moments on a moving base of which a model leaves half, if any.
-
-    Small moments may be mostly noise of the legs' efforts, so that this alone makes no result doubtful.
-    """
+def unexplained_base(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[Cause]:
+    """Report if a model leaves half of the force on a moving base, or of the moment. One axis alone may be mostly noise
+    of the legs' efforts."""
     base = list(model.layout.base)
     if not base or not batches:
         return []
     measured, predicted = (values[:, base] for values in model.predict(Samples.concatenate(list(batches)), parameters))
-    channels = _named(model, base)
-    bad = badly_explained(channels, rms(measured - predicted), rms(measured), lambda *_: _OF_BASE, kind="on the base")
-    return [cause.sentence for cause in bad]
+    left, variation = (
+        np.linalg.norm(each.reshape(2, DIRECTIONS), axis=1)
+        for each in (rms(measured - predicted), deviations(measured))
+    )
+    channels = [("force", "N"), ("moment", "N m")]
+    return badly_explained(channels, left, variation, lambda *_: _OF_BASE, kind="on the base the")
 
 
 def _named(model: MeasurementModel, places: Sequence[int]) -> list[tuple[str, str]]:

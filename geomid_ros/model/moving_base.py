@@ -188,6 +188,22 @@ class Legs:
             legs.append((joints, rows, jacobian[rows, :, :6].transpose(0, 2, 1) @ inverse[rows]))
         return legs
 
+    def balance(self, samples: Samples) -> tuple[FloatArray, FloatArray]:
+        """Compute the ground's wrench on the base from both sides; NaN where a leg is nearly singular.
+
+        Returns:
+            The part of each joint's effort ``(N, 6, joints)``, and the sum of all that the URDF's links require
+            ``(N, 6)``.
+        """
+        links = np.array([body.parameters for body in self._robot.bodies]).ravel()
+        rows = self._robot.joint_effort_rows(*self._robot.configuration(samples), base=True)
+        efforts, required = np.split(rows.reshape(*rows.shape[:2], -1) @ links, [-6], axis=1)
+        parts = np.zeros((*required.shape, efforts.shape[1]))
+        for joints, stands, onto_base in self.standing(samples):
+            parts[np.ix_(stands, np.arange(6), joints)] = -onto_base * samples.effort[stands][:, None, joints]
+            required[stands] -= (onto_base @ efforts[stands][:, joints, None])[:, :, 0]
+        return parts, required
+
     def _transmissions(self, q: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Return for each foot the Jacobian ``(N, k, 6 + joints)`` of its contact point in the world's axes, and the
         matrix ``(N, k, leg)`` from the leg's efforts to the force (with six joints also the moment); NaN where that is

@@ -298,9 +298,9 @@ class Review:
         if self._has_imu:
             remarks += turned_imu(self._model, estimate)
             findings = findings or as_faults(displaced_imu(self._model, samples, estimate.parameters))
+        findings = findings or as_faults(unexplained_base(self._model, samples, estimate.parameters))
         if self._controller is not None:
             remarks += encoder_zeros(self._controller, estimate.effects, self._robot.joint_names)
-        remarks += unexplained_base(self._model, samples, estimate.parameters)
         remarks += never_lifted(self._model, estimate)
         remarks += [] if held_out is None else poorly_predicted(estimate, held_out)
         impossible = tuple(impossible_links(self._robot.urdf, self._robot.source, self._suspects(estimate)))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from model.robots import random_samples, urdf, with_values
 
-from geomid_ros.checks.moving_base import gyroscope, on_all_feet
+from geomid_ros.checks.moving_base import gyroscope, on_all_feet, reversed_efforts
 from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
+from geomid_ros.checks.unexplained import unexplained_base
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import Contact, Legs
 from geomid_ros.model.robot import Robot
@@ -89,6 +90,12 @@ def test_a_frame_that_is_turned_is_told_with_its_angle(degrees: float, words: st
     assert bool(found) == bool(words)
 
 
+def test_a_gyroscope_in_degrees_is_told() -> None:
+    """Not as one that is turned or late."""
+    found = said(TURNING, np.degrees(TURNING[:, 3:]))
+    assert "57.3 times that rotation: publish it in rad/s" in found
+
+
 def test_a_gyroscope_that_measures_something_else_is_not_said_to_be_late() -> None:
     other = np.random.default_rng(0).normal(size=(COUNT, 3))
     assert said(TURNING, other) == ""
@@ -121,6 +128,50 @@ def loaded(samples: Samples) -> FloatArray:
     q = ROBOT.configuration(samples)[0]
     jacobians = sum(ROBOT.contact_jacobians(q, foot, 0.02)[:, :3] for foot in FEET)
     return np.asarray(0.25 * ROBOT.weight * jacobians[:, 2, 6:])
+
+
+def carrying() -> Samples:
+    """Postures of a robot on its feet, with efforts that carry and accelerate it, wrong masses and noise included."""
+    samples = on_feet(TURNING[:200], TURNING[:200, 3:])
+    noise = np.random.default_rng(0).normal(size=(2, *samples.position.shape))
+    moved = {"position": samples.position + 0.2 * noise[0], "standing": np.ones((200, 4), dtype=bool)}
+    samples = with_values(samples, **moved, base_acceleration=0.5 * TURNING[:200])
+    q, v, a = ROBOT.configuration(samples)
+    links = 1.2 * np.array([body.parameters for body in ROBOT.bodies]).ravel()
+    efforts = ROBOT.joint_effort_rows(q, v, a, base=True).reshape(200, 18, -1) @ links
+    jacobians = np.concatenate([ROBOT.contact_jacobians(q, foot, 0.02)[:, :3] for foot in FEET], axis=1)
+    forces = np.linalg.pinv(jacobians[:, :, :6].transpose(0, 2, 1)) @ efforts[:, 12:, None]
+    of_feet = (jacobians[:, :, 6:].transpose(0, 2, 1) @ forces)[:, :, 0]
+    return with_values(samples, effort=efforts[:, :12] - of_feet + 0.1 * noise[1])
+
+
+@pytest.mark.parametrize("joints", [[], [0], [4], [8], [0, 1, 2, 6, 7, 8], list(range(12))])
+def test_reversed_efforts_of_legs_are_named(joints: list[int]) -> None:
+    """All at once are the weight's, or the IMU's."""
+    samples, gains = carrying(), np.where(np.isin(np.arange(12), joints), -1.0, 1.0)
+    found = reversed_efforts(legs(), with_values(samples, effort=samples.effort * gains), ROBOT.joint_names, gains)
+    assert len(found) == (0 < len(joints) < 12)
+    for cause in found:
+        assert cause.places == tuple(ROBOT.joint_names[joint] for joint in joints)
+        assert cause.settings == {f"joint.{name}.effort_gain": 1.0 for name in cause.places}
+
+
+def test_half_of_the_force_on_the_base_must_be_explained() -> None:
+    """And of the moment, each as a vector: one axis may be mostly noise."""
+    model, samples = MeasurementModel(ROBOT, [], contacts=legs().contacts), carrying()
+    links = 1.2 * model.nominal_parameters
+    assert unexplained_base(model, [], links) == []
+    assert unexplained_base(model, [samples], links) == []
+    one_leg = samples.effort * np.where(np.arange(12) < 3, -1.0, 1.0)
+    (cause,) = unexplained_base(model, [with_values(samples, effort=one_leg)], links)
+    assert sorted(cause.places) == ["force", "moment"]
+    assert cause.sentence.startswith("on the base the '")
+
+
+def test_efforts_that_were_not_measured_have_no_sign() -> None:
+    samples = carrying()
+    missing = with_values(samples, effort=np.full_like(samples.effort, np.nan))
+    assert reversed_efforts(legs(), missing, ROBOT.joint_names, np.ones(12)) == []
 
 
 def test_what_is_kept_for_other_sensors_needs_no_feet() -> None:

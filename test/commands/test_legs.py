@@ -191,14 +191,33 @@ def in_parts(stamp: int) -> dict[str, int]:
 
 
 def test_an_imu_with_another_clock_is_told(folder: Path, tmp_path: Path) -> None:
-    """By how much, from how the legs say that the base turns; and by what it leaves of the forces on the base, of which
-    little is left otherwise (test_masses_are_found)."""
+    """By how much, from how the legs say that the base turns."""
     bag = write_bag(tmp_path / "late", map(later, recorded(folder / "walk")))
     late = identified(bag, folder / "go2.urdf")
     (reason,) = (each for each in late.verdict.reasons if "synchronise its clock" in each)
     assert float(re.findall(r"(\d+) ms late", reason)[0]) == pytest.approx(100.0, abs=6.0)
-    (sentence,) = (each for each in late.warnings if "on the base" in each)
-    assert "clocks of the IMU and of the joints" in sentence
+
+
+def reversed_at(joint: str) -> Callable[[Recorded], Recorded]:
+    """The messages of a driver that reverses the effort of a joint."""
+
+    def change(item: Recorded) -> Recorded:
+        if item.topic != "/joint_states":
+            return item
+        signs = np.where(np.array(item.message.name) == joint, -1.0, 1.0)
+        return item.changed(effort=signs * item.message.effort)
+
+    return change
+
+
+@pytest.mark.usefixtures("in_a_step")
+def test_a_reversed_effort_is_named(folder: Path, tmp_path: Path) -> None:
+    """Alone: whatever else is strange follows from it."""
+    bag = write_bag(tmp_path / "reversed", map(reversed_at("FL_hip_joint"), recorded(folder / "walk")))
+    found = identified(bag, folder / "go2.urdf", hold_out=0.0)
+    sentence, *_ = found.verdict.reasons
+    assert found.warnings == []
+    assert "the effort of joint 'FL_hip_joint' is reversed: with joint.FL_hip_joint.effort_gain: -1.0" in sentence
 
 
 def test_an_imu_that_is_turned_far_is_told(folder: Path, tmp_path: Path) -> None:
