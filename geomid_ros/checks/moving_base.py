@@ -1,7 +1,8 @@
-"""Checks of a moving base: weight on its legs, place of its IMU, agreement of its gyroscope with the legs.
+"""Checks of a moving base: weight on its legs and signs of their efforts, place of its IMU, agreement of its gyroscope
+with the legs.
 
-Feet on the ground determine how the base rotates, from the encoders alone: their contact points do not move. No mass
-and no effort is used, so that nothing that is identified can hide a fault.
+Feet on the ground determine how the base rotates, from the encoders alone: their contact points do not move. For that
+no mass and no effort is used, so that nothing that is identified can hide a fault.
 """
 
 from __future__ import annotations
