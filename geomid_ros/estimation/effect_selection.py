@@ -33,9 +33,9 @@ import numpy as np
 
 from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
-from geomid_ros.estimation.fit import Fit
+from geomid_ros.estimation.fit import Fit, with_fitted_effects
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.tolerances import ROUNDS, SETTLED, SHORTLIST
+from geomid_ros.estimation.tolerances import SHORTLIST
 from geomid_ros.estimation.trials import Trial, Trials
 from geomid_ros.estimation.uncertainty import fold_at
 from geomid_ros.geometry.manifold import Point
@@ -232,17 +232,9 @@ def file_fit(own: Fit, estimate: Fit) -> FloatArray:
 
 def _with_links_of(estimate: Fit, own: Fit) -> Point:
     """Point of the ``estimate``'s links, at which the effects minimise the objective of a fit."""
-    objective, effects = own.objective, slice(own.problem.manifold.inertial.stop, None)
-    links = estimate.point.parameters[own.problem.manifold.inertial]
-    point = own.problem.manifold.point(np.append(links, own.point.parameters[effects]))
-    for _ in range(ROUNDS):
-        evaluation, step = objective.evaluate(point), np.zeros(own.problem.manifold.dimension)
-        curvature = evaluation.information + np.diag(objective.prior_weights)
-        step[effects] = np.linalg.solve(curvature[effects, effects], -evaluation.gradient[effects])
-        point = objective.step(point, step)
-        if step @ -evaluation.gradient < SETTLED**2:
-            break
-    return point
+    links, manifold = own.problem.manifold.inertial, own.problem.manifold
+    parameters = np.append(estimate.point.parameters[links], own.point.parameters[links.stop :])
+    return with_fitted_effects(own.objective, manifold.point(parameters))
 
 
 def _without_folds(fit: Fit, products: FloatArray, first: FloatArray | None = None) -> FloatArray:

@@ -22,7 +22,7 @@ from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDS, SETTLED
 from geomid_ros.geometry import spd
-from geomid_ros.geometry.manifold import Point
+from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import SIZE
 from geomid_ros.types import FloatArray
 
@@ -222,6 +222,29 @@ def with_second_start(solve: Callable[..., Fit], other: Point, prior_stds: Float
         return second if second.score < first.score - SETTLED else first
 
     return best
+
+
+def with_fitted_effects(objective: ResidualObjective, point: Point) -> Point:
+    """Point with the links of ``point``, at which the effects minimise an objective."""
+    manifold, links = objective.manifold, objective.manifold.inertial
+    of_effects = np.eye(manifold.dimension + 1)[:, links.stop :]
+    in_rows, from_prior = of_effects.copy(), of_effects.copy()
+    in_rows[links, -1] = -point.parameters[links]
+    from_prior[links, -1] = manifold.offset(objective.prior, point)[links]
+    effects = ResidualObjective(
+        ParameterManifold(0, manifold.positives, manifold.scales),
+        in_rows.T @ objective.products @ in_rows,
+        _without_links(objective.prior),
+        objective.prior_weights[links.stop :],
+        objective.rows_weight,
+        None if objective.known is None else from_prior.T @ objective.known @ from_prior,
+    )
+    found = trust_region(effects, _without_links(point)).point
+    return Point(point.pseudo_inertias, found.positives, found.reals)
+
+
+def _without_links(point: Point) -> Point:
+    return Point(point.pseudo_inertias[:0], point.positives, point.reals)
 
 
 def _objective(problem: Problem, sigmas: FloatArray, prior_stds: FloatArray) -> ResidualObjective:

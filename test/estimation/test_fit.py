@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation import estimator
-from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, with_second_start
+from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, with_fitted_effects, with_second_start
+from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES, regimes
@@ -265,3 +267,16 @@ def test_few_rows_of_all_kinds_are_no_proof_of_an_exact_sensor(rows: int, slow: 
     speeds = samples.velocity.copy()
     speeds[:slow] = np.sign(speeds[:slow]) * 0.025
     assert np.all(solved(replace(case, samples=replace(samples, velocity=speeds))).sigmas > 0.1 * NOISE)
+
+
+@pytest.mark.parametrize("slope", [1.0, 10.0, 100.0])
+def test_effects_are_at_the_minimum_beside_links_that_are_held(slope: float) -> None:
+    """A positive one that the data pull below zero is stopped by its prior alone, which is steep there."""
+    manifold, body = ParameterManifold(1, 1, np.ones(1)), np.array([1.0, *[0.0] * 3, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1])
+    prior = manifold.point(np.array([*body, 1.0, 0.0]))
+    rows = np.column_stack([np.ones((2, 1)), np.zeros((2, 9)), np.diag([slope, 1.0]), [1.0 - slope, 2.0]])
+    objective = ResidualObjective(manifold, rows.T @ rows, prior, np.ones(12), 1.0)
+    found = with_fitted_effects(objective, prior)
+    np.testing.assert_array_equal(found.pseudo_inertias, prior.pseudo_inertias)
+    assert found.reals == pytest.approx(0.5, rel=1e-9), "what the link's mass leaves, half way from the prior"
+    assert np.all(np.abs(objective.evaluate(found).gradient[10:]) < 1e-6)
