@@ -27,7 +27,7 @@ from rich.table import Table
 import geomid_ros
 from benchmarks.posterior import true_parameters
 from geomid_ros.estimation.estimate import STDS_OF_95
-from geomid_ros.model.effects import DEFAULT_EFFECTS
+from geomid_ros.model.effects import DEFAULT_CANDIDATES
 from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.effects.physics import TrueEffect
 from geomid_ros.simulation.motion import RunTrace, exciting_motion
@@ -180,7 +180,7 @@ def row(kind: str, seed: int) -> Row:
     identified = geomid_ros.identify(bag, urdf)
     seconds = time.process_time() - begin
     true = {(effect["effect"], effect["joint"]): effect["parameters"] for effect in truth["effects"]}
-    optional = [effect for effect in identified.effects if effect.name not in DEFAULT_EFFECTS]
+    optional = [effect for effect in identified.effects if effect.name in DEFAULT_CANDIDATES]
     phantoms = [effect.name for effect in optional if (effect.name, effect.joint) not in true]
     excesses = [name for name in true if name[0] == "stribeck_friction"]
     there = [effect for effect in optional if (effect.name, effect.joint) in excesses and effect.value > 0.0]

@@ -30,7 +30,7 @@ from benchmarks.measured_data import CASES, DATA, Case
 from geomid_ros.api.robot import configuration, description, topics
 from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.model.effects import DEFAULT_EFFECTS
+from geomid_ros.model.effects import DEFAULT_CANDIDATES
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import RecordingOptions
@@ -170,7 +170,7 @@ def solved(session: Session, split: Split) -> tuple[float, Estimate]:
     for samples in split.train:
         training.add(samples)
     estimate = session.identifier.solve()
-    return float(np.nansum(session.rms(split.test, estimate.parameters))), estimate
+    return float(np.nansum(session.rms(split.test, *estimate.predictor))), estimate
 
 
 def rows(names: Iterable[str]) -> Iterator[tuple[str, Row]]:
@@ -185,7 +185,7 @@ def rows(names: Iterable[str]) -> Iterator[tuple[str, Row]]:
             total, estimate = solved(chosen.session(configuration), split)
             seconds = time.process_time() - begin
             none, _ = solved(bare.session(bare_configuration), without)
-            optional = [effect for effect in estimate.effects if effect.name not in DEFAULT_EFFECTS]
+            optional = [effect for effect in estimate.effects if effect.name in DEFAULT_CANDIDATES]
             unsure = sum(abs(effect.value) < _UNSURE * effect.std for effect in optional)
             negative = sum(effect.name == "stribeck_friction" and effect.value < 0.0 for effect in optional)
             both = agreement(half, estimate) if half is not None and split.name.endswith(_OTHER_HALF) else (0, 0)

@@ -131,9 +131,11 @@ def compare(case: Case, paper: bool = False) -> Comparison:
         "URDF": session.model.described_parameters,
         "effects alone": _effects_alone(session),
         "least squares": _least_squares(session, found.train),
-        "geomid": np.asarray(found.estimate.parameters),
+        "geomid": np.asarray(found.estimate.predictor.parameters),
     }
-    left = _left(session, test, solutions)
+    gains = {method: np.ones(len(session.model.channels)) for method in solutions}
+    gains["geomid"] = found.estimate.predictor.drive_gains
+    left = _left(session, test, solutions, gains)
     errors = {method: _rms(each) for method, each in left.items()}
     if paper:
         solutions[PAPER], errors[PAPER] = _paper(case, bags, validate)
@@ -155,8 +157,8 @@ def _paper(case: Case, bags: list[Path], validate: list[Path]) -> tuple[FloatArr
     """Parameters and held-out RMS ``(channels,)`` with the paper's objective."""
     options = {**case.options, "config": {**case.options.get("config", {}), "objective": "geodesic"}}
     found = geomid_ros.identify(bags, case.description, validate=validate, **options)
-    parameters = np.asarray(found.estimate.parameters)
-    return parameters, found.session.rms([Samples.concatenate(list(found.held_out))], parameters)
+    predictor = found.estimate.predictor
+    return predictor.parameters, found.session.rms([Samples.concatenate(list(found.held_out))], *predictor)
 
 
 def _columns(session: Session) -> FloatArray:
@@ -185,9 +187,12 @@ def _least_squares(session: Session, train: tuple[Samples, ...] | Any) -> FloatA
     return parameters
 
 
-def _left(session: Session, test: Samples, solutions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """What parameters leave of samples ``(N, channels)``, by method."""
-    measured, predicted = session.model.predict(test, np.column_stack(list(solutions.values())))
+def _left(
+    session: Session, test: Samples, solutions: Mapping[str, FloatArray], gains: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """What parameters and gains of drives leave of samples ``(N, channels)``, by method."""
+    both = (np.column_stack(list(values.values())) for values in (solutions, gains))
+    measured, predicted = session.model.predict(test, *both)
     return dict(zip(solutions, np.moveaxis(measured[:, :, None] - predicted, 2, 0), strict=True))
 
 

@@ -99,7 +99,7 @@ def _solve(session: Session, train: Sequence[Samples], test: Sequence[Samples]) 
     for samples in train:
         training.add(samples)
     estimate = session.identifier.solve()
-    return estimate, float(np.nansum(session.rms(test, estimate.parameters)))
+    return estimate, float(np.nansum(session.rms(test, *estimate.predictor)))
 
 
 def _measured() -> Iterator[Case]:

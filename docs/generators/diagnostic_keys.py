@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import Estimate, LinkEstimate, LinksInformation
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate, LinksInformation, Predictor
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.gap.result import GapResult
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
@@ -145,6 +145,7 @@ def _estimate() -> Estimate:
         links=(link,),
         effects=(),
         parameters=np.ones(10),
+        predictor=Predictor(np.ones(10), one),
         channels=("CHANNEL",),
         sigmas=one,
         prior_stds=one,

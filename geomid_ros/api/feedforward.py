@@ -18,7 +18,7 @@ from geomid_ros.model.urdf_tree import parse
 from geomid_ros.options import takes
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import DescriptionOptions, FeedforwardOptions, FillOptions, PathLike
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, predicting_session
 from geomid_ros.types import FloatArray
 
 _YAML = (".yaml", ".yml")
@@ -122,7 +122,7 @@ def robot_to_move(options: FillOptions, model: PathLike | None) -> Session:
     robot, parameters = description(options, [], model), configuration(options, model, candidates=[])
     if file is not None:
         parameters = _with_sensors_of(file, parameters, robot)
-    session = Session(robot.text, parameters, robot.source)
+    session = predicting_session(robot.text, parameters, robot.source)
     if session.loaded.warning and not options.force:
         raise InputError(f"{session.loaded.warning}; to move a robot by it all the same, set force")
     return session

@@ -155,8 +155,8 @@ class Identification:
         """Residual RMS of the URDF and of the estimate ``(channels, 2)``."""
         if not self.held_out:
             return np.column_stack([self.estimate.rms_nominal, self.estimate.rms])
-        parameters = np.column_stack([self.session.model.described_parameters, self.estimate.parameters])
-        return self.session.rms(self.held_out, parameters)
+        both = self.estimate.predictor.beside(self.session.model.described_parameters)
+        return self.session.rms(self.held_out, *both)[:, ::-1]
 
     @cached_property
     def tracking(self) -> Tracking | None:

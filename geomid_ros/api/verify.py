@@ -38,7 +38,7 @@ from geomid_ros.options import takes
 from geomid_ros.session.gap import rms_of_model
 from geomid_ros.session.options import PathLike, Paths, RobotOptions, VerifyOptions, texts
 from geomid_ros.session.recordings import Bags, read_fitted
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, predicting_session
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,7 +124,7 @@ def read_test_samples(
     if cutoff is not None and "filter.cutoff" not in parameters.given_values:
         parameters = parameters.with_values({"filter.cutoff": float(cutoff)})
     checked = check_command_efforts(options, parameters)
-    return robot.read(Session, checked, lambda session: read_fitted(session, recorded, options.progress))
+    return robot.read(predicting_session, checked, lambda session: read_fitted(session, recorded, options.progress))
 
 
 def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) -> dict[str, Values]:
@@ -132,7 +132,8 @@ def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) ->
     nominal, parameters = session.model.described_parameters, session.known_parameters
     channels = [channel.name for channel in session.model.channels]
     floors = file.floor or file.rms.train
-    residual_rms = rms_of_model(session, samples), session.rms(samples, nominal)
+    without_gains = 1.0 / session.model.drive_gains
+    residual_rms = rms_of_model(session, samples), session.rms(samples, nominal, without_gains)
     errors = zip(channels, *(each.tolist() for each in residual_rms), strict=True)
     bodies = session.model.body_names
     masses = [each[: 10 * len(bodies) : 10].tolist() for each in (parameters, nominal)]

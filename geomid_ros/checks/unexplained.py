@@ -14,6 +14,7 @@ from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.effort_data import EffortData, largest_of_unit, moving
 from geomid_ros.checks.evidence import LEAST_SIGMA, MOST
 from geomid_ros.checks.sample_reservoir import FEWEST
+from geomid_ros.estimation.estimate import Predictor
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import DIRECTIONS
 from geomid_ros.model.samples import Samples
@@ -112,17 +113,17 @@ def _speed_hint(joint: str) -> str:
 
 
 def unexplained(
-    model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray, recorded: Samples | None
+    model: MeasurementModel, batches: Sequence[Samples], identified: Predictor, recorded: Samples | None
 ) -> list[Cause]:
     """Report the joints whose efforts a model does not explain, or explains worse than the input's file does.
 
     Args:
         model: of the robot.
         batches: held-out samples; empty if there are none.
-        parameters: the identified ones ``(D,)``.
+        identified: the estimate.
         recorded: samples of all that was recorded, which are evaluated, too; None if there are none.
     """
-    both = np.column_stack([parameters, model.described_parameters])
+    both = identified.beside(model.described_parameters)
     groups = (list(batches), [] if recorded is None else [recorded])
     residuals = [_residual_rms(model, samples, both) for samples in groups if samples]
     if not residuals:
@@ -163,12 +164,12 @@ def _named(model: MeasurementModel, places: Sequence[int]) -> list[tuple[str, st
 
 
 def _residual_rms(
-    model: MeasurementModel, batches: Sequence[Samples], both: FloatArray
+    model: MeasurementModel, batches: Sequence[Samples], both: Predictor
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual RMS ``(C, 2)`` of two sets of parameters ``(D, 2)`` on the efforts of joints that move, and the standard
+    """Residual RMS ``(C, 2)`` of two models on the efforts of joints that move, and the standard
     deviations of these efforts ``(C,)``."""
     samples = Samples.concatenate(list(batches))
-    measured, predicted = model.predict(samples, both)
+    measured, predicted = model.predict(samples, *both)
     residuals = (measured[:, :, None] - predicted)[:, model.layout.efforts]
     residuals = np.where(moving(samples.velocity)[:, :, None], residuals, np.nan)
     return rms(residuals), deviations(np.where(np.isfinite(residuals[:, :, 0]), samples.effort, np.nan))

@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.checks.candidates import MASS_FACTOR
 from geomid_ros.checks.causes import RecordingFault
 from geomid_ros.checks.unexplained import WORSE
-from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
+from geomid_ros.estimation.estimate import STDS_OF_95, Estimate, Predictor
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.inference.design import BLOCKS
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -139,16 +139,16 @@ def worse_on_rows(estimate: Estimate) -> list[str]:
     return [channel for channel, rms, nominal in pairs if rms > WORSE * nominal]
 
 
-def worse_channels(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[str]:
-    """Channels that parameters ``(D,)`` predict worse than the URDF does, beyond the scatter of blocks of time.
+def worse_channels(model: MeasurementModel, batches: Sequence[Samples], identified: Predictor) -> list[str]:
+    """Channels that an estimate predicts worse than the URDF does, beyond the scatter of blocks of time.
 
     Args:
         model: of the robot.
         batches: samples to evaluate on, at least one.
-        parameters: the identified ones.
+        identified: the estimate.
     """
-    both = np.column_stack([parameters, model.described_parameters])
-    measured, predicted = model.predict(Samples.concatenate(list(batches)), both)
+    both = identified.beside(model.described_parameters)
+    measured, predicted = model.predict(Samples.concatenate(list(batches)), *both)
     errors = ((predicted - measured[:, :, None]) ** 2).transpose(1, 2, 0)
     return [channel.name for channel, each in zip(model.channels, errors, strict=True) if is_worse(*_block_means(each))]
 
@@ -160,10 +160,11 @@ def _block_means(errors: FloatArray) -> FloatArray:
     return np.array([np.mean(block, axis=1) for block in blocks if block.size]).reshape(-1, len(errors)).T
 
 
-def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
-    """Channels that parameters ``(D,)`` predict worse than the URDF on rows, beyond the scatter of the rows' folds."""
-    both = (rows.rms_by_fold(vector).T ** 2 for vector in (parameters, model.described_parameters))
-    triples = zip(model.channels, *both, strict=True)
+def worse_in_folds(model: MeasurementModel, rows: RowSummary, identified: Predictor) -> list[str]:
+    """Channels that an estimate predicts worse than the URDF on rows, beyond the scatter of the rows' folds."""
+    scaled = rows.with_drive_gains(identified.drive_gains, len(model.nominal_inertias))
+    errors = scaled.rms_by_fold(identified.parameters), rows.rms_by_fold(model.described_parameters)
+    triples = zip(model.channels, *(rms.T**2 for rms in errors), strict=True)
     return [channel.name for channel, after, before in triples if is_worse(after, before)]
 
 

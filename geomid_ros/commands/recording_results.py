@@ -56,7 +56,7 @@ def show_identification(found: geomid_ros.Identification) -> None:
     if of_joints:
         console.print(_joint_effects_table(of_joints))
     listed = {(effect.name, effect.joint) for effect in of_joints}
-    others = [e for e in file.known_effects if (e.effect, e.joint) not in listed or not e.is_coefficient]
+    others = [effect for effect in file.known_effects if (effect.effect, effect.joint) not in listed]
     if others:
         console.print(_other_effects_table(others))
     console.print(_errors_table(file))

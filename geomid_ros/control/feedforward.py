@@ -60,7 +60,7 @@ class MotorEfforts:
             raise InputError(f"{source}: does not contain {','.join(missing)}; {advice}")
         self._robot = robot
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
-        self._gains = gains[self._order]
+        self._gains, self._load_gains = gains[self._order], model.drive_gains[self._order]
         in_motors = np.logical_not([c.effect.is_sensor_error for c in model.coefficients])
         motor_parameters = parameters * np.append(np.ones(len(model.nominal_inertias)), in_motors)
         self._dynamics = InverseDynamics(model, motor_parameters)
@@ -90,7 +90,8 @@ class MotorEfforts:
         def rows(motion: FloatArray) -> FloatArray:
             ordered[:, 0, self._order] = motion
             q, v, a = robot.moved(ordered)
-            return np.asarray(robot.body_effort_rows(q[0], v[0], a[0], body)[self._order] / self._gains[:, None])
+            rows = robot.body_effort_rows(q[0], v[0], a[0], body)[self._order]
+            return np.asarray(rows * (self._load_gains / self._gains)[:, None])
 
         return rows, self._dynamics.inertias[body]
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -224,6 +225,20 @@ class WeighedEstimate:
     std: float
 
 
+class Predictor(NamedTuple):
+    """Arguments with which a measurement model predicts: ``parameters (D,)`` with the effects beside the gains of the
+    joints' drives, and these ``drive_gains (channels,)``. Or those of several models, ``(D, K)`` and ``(channels, K)``.
+    """
+
+    parameters: FloatArray
+    drive_gains: FloatArray
+
+    def beside(self, parameters: FloatArray) -> Predictor:
+        """Return this one and a model of ``parameters (D,)`` without gains, in this order."""
+        gains = np.column_stack([self.drive_gains, np.ones(len(self.drive_gains))])
+        return Predictor(np.column_stack([self.parameters, parameters]), gains)
+
+
 @dataclass(frozen=True, eq=False)
 class LinksInformation:
     """Log-likelihood of the inertias of all links together, maximised over the effects.
@@ -250,7 +265,8 @@ class Estimate:
         rows_accepted: Number of rows that were measured and used.
         rows_set_aside: Number of compressed rows without a projection from the prior; only (19) sets rows aside.
         links, effects, known: Estimates of the links, effects and weighed masses.
-        parameters: ``(D,)`` of the measurement model.
+        parameters: ``(D,)`` of the measurement model, fitted without gains of the drives.
+        predictor: Parameters with the same links, and gains of the drives, to predict with.
         channels: Names of the measured channels.
         sigmas, rms_nominal, rms: ``(channels,)`` in the channels' units: standard deviations, and RMS residuals of the
             URDF and of the identified model; NaN where nothing was measured.
@@ -273,6 +289,7 @@ class Estimate:
     links: tuple[LinkEstimate, ...]
     effects: tuple[EffectEstimate, ...]
     parameters: FloatArray
+    predictor: Predictor
     channels: tuple[str, ...]
     sigmas: FloatArray
     prior_stds: FloatArray

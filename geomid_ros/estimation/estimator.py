@@ -13,8 +13,9 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.coefficient_fit import CoefficientRows
+from geomid_ros.estimation.drive_gains import fit_drive_gains
 from geomid_ros.estimation.effect_selection import Choice, choose, file_fit, fit_files
-from geomid_ros.estimation.estimate import WITHIN, EffectEstimate, Estimate, LinksInformation
+from geomid_ros.estimation.estimate import WITHIN, EffectEstimate, Estimate, LinksInformation, Predictor
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import GeodesicObjective, row_weights
@@ -364,8 +365,10 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         minimum.stated_errors(stds).with_unknown_constants(steps)
         for stds in (minimum.link_prior_stds, fitted.assumed_prior_stds)
     )
-    parameters = np.zeros(whole.model.dimension)
-    parameters[columns] = point.parameters
+    gains = fit_drive_gains(fitted, point, errors)
+    parameters, beside_gains = np.zeros((2, whole.model.dimension))
+    parameters[columns], beside_gains[columns] = point.parameters, gains.point.parameters
+    predictor = Predictor(frozen(beside_gains), frozen(gains.of_channels(model)))
     factor = np.sqrt(min(errors.independent_fraction, problem.independent_fraction))
     information = uncertainty.links_information(
         manifold, problem.prior_point, point, fitted.rows, known.weighed, errors
@@ -380,13 +383,14 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
         links=estimate_parts.links(
             problem, point, link_errors, _outliers(fitted), _stds_of_far_links(problem, point, information, link_errors)
         ),
-        effects=estimate_parts.effects(problem, point, effect_errors),
+        effects=(*estimate_parts.effects(problem, point, effect_errors), *gains.effects(model)),
         parameters=frozen(parameters),
+        predictor=predictor,
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),
         prior_stds=frozen(fitted.prior_stds),
         rms_nominal=frozen(whole.summary.rms(whole.model.described_parameters)),
-        rms=frozen(summary.rms(point.parameters)),
+        rms=frozen(summary.with_drive_gains(predictor.drive_gains, manifold.inertial.stop).rms(gains.point.parameters)),
         information=information,
         posterior=estimate_parts.posterior(problem, point, minimum.link_errors),
         rows=frozen(factor * fitted.rows[0]),

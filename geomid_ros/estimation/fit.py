@@ -227,6 +227,8 @@ def with_second_start(solve: Callable[..., Fit], other: Point, prior_stds: Float
 def with_fitted_effects(objective: ResidualObjective, point: Point) -> Point:
     """Point with the links of ``point``, at which the effects minimise an objective."""
     manifold, links = objective.manifold, objective.manifold.inertial
+    if links.stop == manifold.dimension:
+        return point
     of_effects = np.eye(manifold.dimension + 1)[:, links.stop :]
     in_rows, from_prior = of_effects.copy(), of_effects.copy()
     in_rows[links, -1] = -point.parameters[links]

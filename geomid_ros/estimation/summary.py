@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, cycle
 
 import numpy as np
 
@@ -227,6 +227,16 @@ class RowSummary:
         for fold in copy._summaries:  # noqa: SLF001 same class
             for part in fold[channel :: len(self.channels)]:
                 part.factor = triangular(np.column_stack([part.factor[:, :-1], part.factor @ np.append(subset, 1.0)]))
+        return copy
+
+    def with_drive_gains(self, gains: FloatArray, links: int) -> RowSummary:
+        """Copy in which the first ``links`` parameters count ``gains (channels,)`` times."""
+        copy = self._copy(self.channels)
+        factors = [
+            np.append(np.where(c.columns < links, gain, 1.0), 1.0) for c, gain in zip(copy.channels, gains, strict=True)
+        ]
+        for part, factor in zip(chain(*copy._summaries), cycle(factors), strict=False):  # noqa: SLF001 same class
+            part.factor = part.factor * factor
         return copy
 
     def pooled(self, channels: BoolArray) -> RowSummary:

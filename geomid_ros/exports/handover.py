@@ -395,7 +395,7 @@ def evaluate_description(
         return np.stack([read.efforts(model.robot.joint_names, samples) for read, _ in kinds], axis=2)
 
     channels = [channel.name for channel in model.channels]
-    rms = session.rms(batches, parameters, added).T.tolist()
+    rms = session.rms(batches, parameters, added=added).T.tolist()
     alone, corrected, before = (dict(zip(channels, values, strict=True)) for values in rms)
     return FileTest(
         name=name,

@@ -364,7 +364,8 @@ def solve(session: Session, summary: BagSummary) -> tuple[Estimate, FloatArray |
     test_rows.restore(summary.held_out)
     if not test_rows.rows:
         return estimate, None, session.review.verdict(estimate)
-    held_out = test_rows.rms(estimate.parameters)
+    parameters, drive_gains = estimate.predictor
+    held_out = test_rows.with_drive_gains(drive_gains, len(session.model.nominal_inertias)).rms(parameters)
     return estimate, held_out, session.review.verdict(estimate, test_rows, held_out)
 
 

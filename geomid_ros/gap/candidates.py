@@ -209,7 +209,7 @@ def candidates(
         for cls in EFFECTS.values()
         for effect in cls.grid()
         for place in model.places.of(effect)
-        if (effect.name, place) not in has and shapes.get((effect.name, place), effect) == effect
+        if effect.has_columns and (effect.name, place) not in has and shapes.get((effect.name, place), effect) == effect
     ]
     if model.legs:
         result = [c for c in result if isinstance(c.effect, LoadEffect) or not isinstance(c.effect, SituationEffect)]

@@ -136,7 +136,8 @@ class _Model:
     def __init__(self, session: Session, estimate: Estimate) -> None:
         robot, settings = session.robot, session.signals
         self.joints = robot.joint_names
-        self.dynamics = InverseDynamics(session.model, estimate.parameters)
+        parameters, drive_gains = estimate.predictor
+        self.dynamics = InverseDynamics(session.model.with_drive_gains(drive_gains), parameters)
         self.gains = session.effort_gains
         self.turning = np.array([joint.continuous for joint in robot.joints])
         self.memory = settings.max_gap_ns

@@ -140,7 +140,8 @@ class InverseDynamics:
         nonzero = [(c, v) for c, v in zip(model.coefficients, parameters[first:].tolist(), strict=True) if v != 0.0]
         motion_effects = [(c.effect, c.place, value) for c, value in nonzero if isinstance(c.effect, MotionEffect)]
         self._robot = model.robot
-        self._whole = _Motors(model.robot, inertias, motion_effects)
+        gains = model.drive_gains[list(model.layout.efforts)]
+        self._whole = _Motors(model.robot, inertias, motion_effects, gains)
         self._gears = _Motors(model.robot, model.gear_inertias, model.gear_effects)
         self._by_load: dict[LoadEffect, FloatArray] = {}
         for c, value in nonzero:
@@ -160,16 +161,21 @@ class InverseDynamics:
 
 
 class _Motors:
-    """Efforts of bodies and of motion effects, given as (effect, place, coefficient)."""
+    """Efforts of bodies, times ``gains``, and of motion effects, given as (effect, place, coefficient)."""
 
     def __init__(
-        self, robot: Robot, inertias: FloatArray, effects: Iterable[tuple[MotionEffect, Place, float]]
+        self,
+        robot: Robot,
+        inertias: FloatArray,
+        effects: Iterable[tuple[MotionEffect, Place, float]],
+        gains: FloatArray | float = 1.0,
     ) -> None:
         self._robot = robot
         self._rigid = robot.with_inertias(inertias, range(len(inertias)))
         self._data = self._rigid.createData()
         self._entries, self._strengths = entries_of(effects, len(robot.joints))
+        self._gains = gains
 
     def __call__(self, states: Motion, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         rigid = self._robot.efforts_of(self._rigid, self._data, q, v, a)
-        return np.asarray(rigid + self._entries.values(states) @ self._strengths)
+        return np.asarray(self._gains * rigid + self._entries.values(states) @ self._strengths)

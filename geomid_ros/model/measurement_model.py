@@ -94,6 +94,8 @@ class MeasurementModel:
         )
         self.coefficients = self.places.coefficients(effects, local_effects, candidates, link_side_joints)
         self._number()
+        self.drive_gains = np.ones(len(self.channels))
+        """Factors ``(channels,)`` with which the efforts of the links are measured."""
         if not self.channels:
             raise InputError(
                 "no measured channel can be predicted: joint efforts need every external wrench sensor to be on a "
@@ -171,6 +173,11 @@ class MeasurementModel:
             if isinstance(c.effect, MotionEffect) and not c.effect.before_gear and np.isfinite(value)
         )
         return self._replaced(gear_inertias=loading, gear_effects=resisting)
+
+    def with_drive_gains(self, gains: FloatArray) -> MeasurementModel:
+        """Return the model in which the efforts of the links are measured ``gains (channels,)`` times what they are in
+        this one."""
+        return self._replaced(drive_gains=self.drive_gains * gains)
 
     def with_payload(self, link: str) -> MeasurementModel:
         """Return the model with a payload as its last body, fixed to the identified ``link`` and in its frame."""
@@ -333,8 +340,10 @@ class MeasurementModel:
         first = 10 * len(self.identified)
         coefficients = np.zeros((*targets.shape, self.dimension))
         coefficients[:, :, :first] = bodies[:, :, self.identified].reshape(*targets.shape, first)
+        (scaled,) = np.nonzero(self.drive_gains != 1.0)
+        coefficients[:, scaled, :first] *= self.drive_gains[scaled, None]
         for index in set(range(len(self.robot.bodies))).difference(self.identified):
-            targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
+            targets -= self.drive_gains * (bodies[:, :, index] @ self.robot.bodies[index].parameters)
         entries, channels, parameters, entry_indices = self._of_motion
         coefficients[:, channels, parameters] = samples.values_of(entries)[:, entry_indices]
         if self._of_loads:
@@ -428,21 +437,29 @@ class MeasurementModel:
         effect_columns = [column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)]
         return tuple(dict.fromkeys([*effect_columns, *((SIGN, SMOOTH_SIGN, REST) if self.layout.efforts else ())]))
 
-    def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def predict(
+        self, samples: Samples, parameters: FloatArray, drive_gains: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return measured values ``(N, channels)`` and values predicted at parameters ``(D,)``; with several parameter
-        vectors ``(D, K)``, predictions are ``(N, channels, K)``."""
+        vectors ``(D, K)``, predictions are ``(N, channels, K)``. ``drive_gains (channels,)`` or ``(channels, K)``:
+        further factors of the identified links' efforts."""
+        first = 10 * len(self.identified)
         # Rows are many times as large as their samples, so they are not computed all at once.
         measured, predicted = [], []
         for piece in samples.in_pieces():
             rows = self.rows(piece)
             measured.append(rows.targets)
             predicted.append(rows.coefficients @ parameters)
+            if drive_gains is not None:
+                predicted[-1] += (drive_gains - 1.0) * (rows.coefficients[:, :, :first] @ parameters[:first])
         return np.concatenate(measured), np.concatenate(predicted)
 
-    def predicted_efforts(self, samples: Samples, parameters: FloatArray) -> FloatArray:
+    def predicted_efforts(
+        self, samples: Samples, parameters: FloatArray, drive_gains: FloatArray | None = None
+    ) -> FloatArray:
         """Predict measured efforts ``(N, joints)``, including links that are not identified and measured external
-        loads; NaN for joints whose effort is not measured."""
-        measured, predicted = self.predict(samples, parameters)
+        loads; NaN for joints whose effort is not measured. The arguments are those of :meth:`predict`."""
+        measured, predicted = self.predict(samples, parameters, drive_gains)
         efforts = np.full(samples.effort.shape, np.nan)
         if self.layout.efforts:
             efforts[:] = samples.effort - (measured - predicted)[:, self.layout.efforts]

@@ -25,7 +25,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_products import usable
-from geomid_ros.estimation.estimate import LACKING, Estimate, interval_of_positive
+from geomid_ros.estimation.estimate import LACKING, Estimate, Predictor, interval_of_positive
 from geomid_ros.estimation.tolerances import LARGEST_STEP, ROUNDING, ROUNDS, SETTLED
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ONE_BODY, Point
@@ -109,7 +109,10 @@ class WatchMemory:
 
 def with_payload(estimate: Estimate, carried: CarriedPayload | None) -> Estimate:
     """Return an estimate with the payload added, for predictions."""
-    return estimate if carried is None else replace(estimate, parameters=carried.added(estimate.parameters))
+    if carried is None:
+        return estimate
+    parameters, drive_gains = estimate.predictor
+    return replace(estimate, predictor=Predictor(carried.added(parameters), drive_gains))
 
 
 @dataclass(frozen=True, eq=False)

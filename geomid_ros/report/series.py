@@ -50,11 +50,11 @@ def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) 
     """Return the channels measured in at least one sample; the batches are in the order of time."""
     stamps = np.concatenate([samples.stamps for samples in batches])
     times = (stamps - stamps[0]) * 1e-9
-    both = np.column_stack([session.model.described_parameters, estimate.parameters])
-    pairs = zip(*(session.model.predict(samples, both) for samples in batches), strict=True)
+    both = estimate.predictor.beside(session.model.described_parameters)
+    pairs = zip(*(session.model.predict(samples, *both) for samples in batches), strict=True)
     measured, predicted = map(np.concatenate, pairs)
     return [
-        Series(channel.name, channel.unit, times, measured[:, index], *predicted[:, index].T)
+        Series(channel.name, channel.unit, times, measured[:, index], *predicted[:, index, ::-1].T)
         for index, channel in enumerate(session.model.channels)
         if np.any(np.isfinite(measured[:, index]))
     ]

@@ -71,7 +71,7 @@ class Outputs(Listener):
     def on_samples(self, session: Session, samples: Samples, estimate: Estimate) -> None:
         """Publish the efforts that an estimate predicts for samples, and their std, if there are subscribers."""
         if self._predictions.get_subscription_count() > 0:
-            efforts = session.model.predicted_efforts(samples, estimate.parameters)
+            efforts = session.model.predicted_efforts(samples, *estimate.predictor)
             _publish_efforts(self._predictions, session.robot, samples, efforts)
         if self._deviations.get_subscription_count() > 0:
             deviations = effort_deviations(session.model, samples, estimate)

@@ -281,17 +281,15 @@ class Review:
             held_out: RMS residual ``(channels,)`` on held-out data; None if nothing was held out.
         """
         if isinstance(judged, RowSummary):
-            worse = worse_in_folds(self._model, judged, estimate.parameters)
+            worse = worse_in_folds(self._model, judged, estimate.predictor)
         else:
-            worse = worse_channels(self._model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
+            worse = worse_channels(self._model, judged, estimate.predictor) if judged else worse_on_rows(estimate)
         recorded = self.recorded
         samples = () if isinstance(judged, RowSummary) else judged
         findings = self.findings
         if no_external_forces(self._model) and all(finding.cause.kind == "unexplained" for finding in findings):
             # Joints whose efforts the estimate does not explain.
-            findings = (
-                as_faults(unexplained(self._model, samples, estimate.parameters, self.check.recorded)) or findings
-            )
+            findings = as_faults(unexplained(self._model, samples, estimate.predictor, self.check.recorded)) or findings
         remarks = [*peculiarities(recorded.accounts), *self.remarks]
         if any(finding.cause.kind == "legs" for finding in findings):
             return replace(recording_verdict(findings, warnings=remarks), explains_all=True)

@@ -21,7 +21,7 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effects_file import tilted_gravity
-from geomid_ros.files.models.estimate_file import account_entry, estimate_document, verdict_entry
+from geomid_ros.files.models.estimate_file import account_entry, estimate_document, predictor_entry, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.posterior import POSTERIOR, population_document, read_population, write_posterior
 from geomid_ros.files.models.readers import ELEMENTS, URDF
@@ -104,7 +104,8 @@ class Session:
             contacts=configuration.contacts,
             commanded=self.controller is not None,
         )
-        self.model = model.with_known_loads(self.loaded.parameters(model))
+        known = model.with_known_loads(self.loaded.parameters(model))
+        self.model = known.with_drive_gains(self.loaded.drive_gains(model.channels))
         self.received_joints: set[str] = set()
         """Names of joints in all messages so far."""
         self._readers = readers
@@ -295,15 +296,21 @@ class Session:
         return [*self.review.notes, *alike_sentences(self.settings.alike)]
 
     def rms(
-        self, batches: Iterable[Samples], parameters: FloatArray, added: Callable[[Samples], FloatArray] | None = None
+        self,
+        batches: Iterable[Samples],
+        parameters: FloatArray,
+        drive_gains: FloatArray | None = None,
+        added: Callable[[Samples], FloatArray] | None = None,
     ) -> FloatArray:
         """RMS residual of each channel over samples at parameters ``(D,)``, ``(channels,)``, or at several ``(D, K)``,
-        ``(channels, K)``; NaN where nothing was measured. ``added`` returns further efforts ``(N, joints, K)``."""
+        ``(channels, K)``; NaN where nothing was measured. ``drive_gains``: see :meth:`MeasurementModel.predict`.
+        ``added`` returns further efforts ``(N, joints, K)``."""
         several = parameters.reshape(len(parameters), -1)
+        gains = None if drive_gains is None else drive_gains.reshape(len(drive_gains), -1)
         squares = np.zeros((len(self.model.channels), several.shape[1]))
         counts = np.zeros((len(self.model.channels), 1))
         for samples in batches:
-            measured, predicted = self.model.predict(samples, several)
+            measured, predicted = self.model.predict(samples, several, gains)
             if added is not None and self.model.layout.efforts:
                 predicted += self.model.caused_by_efforts(samples, added(samples))
             squares += np.nansum((measured[:, :, None] - predicted) ** 2, axis=0)
@@ -348,6 +355,11 @@ class Session:
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
 
+def predicting_session(urdf: str, configuration: Configuration, source: str) -> Session:
+    """Make a session that predicts with the gains of drives of its model, see :class:`Session`."""
+    return Session(urdf, configuration, source, loaded=LoadedModel.read(configuration["model"]).to_predict)
+
+
 def installed_version() -> str:
     """Installed version of this package."""
     try:
@@ -378,6 +390,7 @@ def document(
         "notes": session.notes,
         "messages": {topic: account_entry(account) for topic, account in session.pipeline.ledger.topics.items()},
         "gravity": session.configuration.gravity.tolist(),
+        "predictor": predictor_entry(session.model, estimate),
         "handover": {
             reader: handover_entry(written_model(session.model, estimate, reader, effects), merged)
             for reader in estimate.within

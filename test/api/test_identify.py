@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from commands.running import WRIST, done, identify, undrawn
 from files.recordings import BAGS
@@ -92,6 +93,18 @@ def test_a_urdf_is_judged_with_its_own_friction(hold_out: float, tmp_path: Path)
     bounds = [float(outcome.bound.split()[1]) for outcome in checked.outcomes]
     # Its delay, and the shape of its friction, are the model's: a little less than alone, a fifth of that without any.
     assert bounds == pytest.approx(list(found.rms_nominal.values()), rel=0.4)
+
+
+def test_what_is_loaded_again_predicts_with_the_gains_that_were_found(tmp_path: Path) -> None:
+    """Of the drives, to the last digit; the description without them."""
+    shutil.copytree(BAG, tmp_path / "again")
+    found = geomid_ros.identify(BAG, URDF, validate=tmp_path / "again")
+    assert not np.allclose(found.estimate.predictor.drive_gains, 1.0, atol=1e-4)
+    found.save(tmp_path / "out", report=False)
+    checked = geomid_ros.verify(tmp_path / "out" / "estimate.json", validate=BAG, urdf=URDF)
+    for channel, rms in checked.rms.items():
+        assert rms["value"] == pytest.approx(found.rms[channel], rel=1e-9)
+        assert rms["urdf"] == pytest.approx(found.rms_nominal[channel], rel=1e-9)
 
 
 def test_shapes_are_found_from_any_folder_or_missed_in_words(tmp_path: Path) -> None:

@@ -180,9 +180,8 @@ def test_what_was_fitted_is_judged_too() -> None:
     assert sound is not None
     effort = sound.effort.copy()
     effort[: len(effort) // 2, 1] += 3.0 * np.std(effort[:, 1]) * np.sign(np.sin(np.arange(len(effort) // 2)))
-    parameters = np.asarray(found.estimate.parameters)
     for recorded, expected in ((sound, ()), (replace(sound, effort=effort), ("joint2",))):
-        assert places(unexplained(model, found.held_out, parameters, recorded)) == expected
+        assert places(unexplained(model, found.held_out, found.estimate.predictor, recorded)) == expected
 
 
 def test_the_shipped_recording_is_explained() -> None:

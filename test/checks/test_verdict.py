@@ -98,8 +98,8 @@ def with_rotor(parameters: FloatArray) -> FloatArray:
 def test_a_channel_that_is_worse_than_by_the_urdf_is_named() -> None:
     case, estimate = solved()
     held_out = case.fresh(9).samples
-    wrong = with_rotor(estimate.parameters)
-    assert worse_channels(case.model, [held_out], estimate.parameters) == []
+    wrong = estimate.predictor._replace(parameters=with_rotor(estimate.parameters))
+    assert worse_channels(case.model, [held_out], estimate.predictor) == []
     assert worse_channels(case.model, [held_out], wrong) == ["joint2"]
 
 
@@ -122,10 +122,8 @@ def test_what_is_within_the_scatter_of_blocks_is_not_told() -> None:
     held_out = case.fresh(9).samples
     acceleration = np.zeros_like(held_out.acceleration)
     acceleration[500:600] = held_out.acceleration[500:600]
-    assert (
-        worse_channels(case.model, [replace(held_out, acceleration=acceleration)], with_rotor(estimate.parameters))
-        == []
-    )
+    wrong = estimate.predictor._replace(parameters=with_rotor(estimate.parameters))
+    assert worse_channels(case.model, [replace(held_out, acceleration=acceleration)], wrong) == []
 
 
 def test_what_goes_on_otherwise_is_told() -> None:

@@ -107,7 +107,8 @@ def test_the_estimate_is_whole(run: tuple[Path, str]) -> None:
     assert {name for name, _ in found - of_joints} <= set(DEFAULT_CANDIDATES)
     others = {(entry["effect"], entry["joint"]) for entry in document["added"]}
     assert ("wrench_offset", "/wrench") in others
-    assert {name for name, _ in others} <= {"wrench_offset", *DEFAULT_CANDIDATES}
+    assert {("drive_gain", joint) for joint in joints} <= others
+    assert {name for name, _ in others} <= {"wrench_offset", "drive_gain", *DEFAULT_CANDIDATES}
     for entry in document["links"]:
         assert 0.0 <= entry["from_data"] <= 1.0
         assert entry["min_eigenvalue_ratio"] > 0.0
@@ -263,7 +264,7 @@ def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
     assert found == {("viscous_friction", "joint2"), *(("coulomb_friction", f"joint{k}") for k in (1, 2, 3))}
     table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
     cells = {line.split()[0]: line.count("±") for line in map(str.strip, table.splitlines()) if "±" in line}
-    assert cells == {"joint1": 1, "joint2": 1, "joint3": 1}
+    assert cells == {"joint1": 2, "joint2": 2, "joint3": 2}, "with the gains of the drives"
     assert "Viscous friction" in others
     assert "at joint2" in others
 

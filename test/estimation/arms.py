@@ -16,12 +16,12 @@ import pinocchio as pin
 from geometry import bodies
 from model.robots import fixed_base
 
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import IdentifiedEffect, identifiable, joint_of
+from geomid_ros.model.effects import DriveGain, IdentifiedEffect, identifiable, joint_of
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -188,6 +188,11 @@ def identifier(case: Case, prior: FloatArray | None = None, **settings: object) 
 def solved(case: Case, **settings: object) -> Estimate:
     """The estimate of the samples."""
     return identifier(case, **settings).solve()
+
+
+def without_gains(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
+    """The effects of the model's coefficients."""
+    return [effect for effect in effects if effect.name != DriveGain.name]
 
 
 def summary(

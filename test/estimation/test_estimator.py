@@ -19,7 +19,7 @@ from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
-from .arms import ALL_EFFECTS, Case, Truth, arm, efforts, identifier, solved, summary
+from .arms import ALL_EFFECTS, Case, Truth, arm, efforts, identifier, solved, summary, without_gains
 
 NOISE = 0.05
 
@@ -45,11 +45,11 @@ def test_predictions_of_a_fresh_motion_are_about_as_good_as_the_noise() -> None:
     assert rms(fresh.error(found.parameters)) < 0.05 * rms(fresh.error(nominal))
     np.testing.assert_allclose(found.rms, NOISE, rtol=0.4)  # the prior's pull is in it
     np.testing.assert_allclose(found.rms_nominal, case_rms(case, nominal), rtol=1e-9)
-    np.testing.assert_allclose(found.rms, case_rms(case, found.parameters), rtol=1e-9)
+    np.testing.assert_allclose(found.rms, case_rms(case, *found.predictor), rtol=1e-9)
 
 
-def case_rms(case: Case, parameters: FloatArray) -> FloatArray:
-    measured, predicted = case.model.predict(case.samples, parameters)
+def case_rms(case: Case, *model: FloatArray) -> FloatArray:
+    measured, predicted = case.model.predict(case.samples, *model)
     return np.sqrt(np.mean((measured - predicted) ** 2, axis=0))
 
 
@@ -57,7 +57,7 @@ def test_effects_are_recovered() -> None:
     case, found = standard()
     tolerances = {"viscous_friction": 0.1, "coulomb_friction": 0.1, "rotor_inertia": 0.05, "effort_offset": 0.15}
     truth = case.truth[len(case.model.nominal_inertias) :]
-    for effect, value in zip(found.effects, truth, strict=True):
+    for effect, value in zip(without_gains(found.effects), truth, strict=True):
         if effect.from_data > 0.9:
             assert effect.value == pytest.approx(value, abs=tolerances[effect.name]), (effect.name, effect.joint)
     assert all(effect.from_data > 0.5 for effect in found.effects)
@@ -79,7 +79,7 @@ def test_links_are_possible_and_described_consistently() -> None:
         assert link.min_eigenvalue_ratio == pytest.approx(ratio, rel=1e-9)
         assert link.name == case.model.body_names[place]
         assert 0.0 <= link.from_data <= 1.0
-    assert [effect.joint for effect in found.effects] == [c.place_name for c in case.model.coefficients]
+    assert [effect.joint for effect in without_gains(found.effects)] == [c.place_name for c in case.model.coefficients]
     assert found.channels == tuple(joint.name for joint in case.model.robot.joints)
     assert found.rows_accepted == case.samples.effort.size
 
@@ -143,7 +143,8 @@ def test_dry_friction_of_a_joint_that_never_moves_has_any_value() -> None:
     moving = replace(case.samples, **{name: np.where(still, 0.0, values) for name, values in motion.items()})
     felt = efforts(case.model.robot, case.true, moving) + stiction * still
     found = solved(replace(case, samples=replace(moving, effort=felt)))
-    *unseen, offset = sorted((e for e in found.effects if e.joint == "joint3"), key=lambda e: e.name == "effort_offset")
+    at_joint = [effect for effect in without_gains(found.effects) if effect.joint == "joint3"]
+    *unseen, offset = sorted(at_joint, key=lambda effect: effect.name == "effort_offset")
     assert abs(offset.value - case.true.effects["effort_offset"][2]) < 4.0 * offset.std
     assert len(unseen) == 3
     assert all(effect.std > stiction for effect in unseen)

@@ -331,7 +331,8 @@ def coverage() -> dict[str, float]:
     inside: dict[str, list[bool]] = defaultdict(list)
     for case, planted, found in runs():
         first = len(case.model.nominal_inertias)
-        for effect, true in zip(found.effects, planted[first:], strict=True):
+        exact_drives = np.ones(len(case.model.channels))
+        for effect, true in zip(found.effects, [*planted[first:], *exact_drives], strict=True):
             if effect.from_data > 0.75:
                 inside[effect.name].append(abs(effect.value - true) < 1.96 * effect.std)
         for link, true in zip(found.links, planted[:first].reshape(-1, 10), strict=True):
@@ -342,7 +343,7 @@ def coverage() -> dict[str, float]:
     return {kind: float(np.mean(hits)) for kind, hits in inside.items()}
 
 
-KINDS = {*ALL_EFFECTS, "told", "untold"}
+KINDS = {*ALL_EFFECTS, "drive_gain", "told", "untold"}
 
 
 def test_intervals_of_95_percent_hold_the_truth_about_that_often_under_low_passed_noise() -> None:

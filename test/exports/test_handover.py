@@ -85,7 +85,7 @@ def test_friction_of_a_file_counts_on_the_base_of_legs_that_stand() -> None:
     samples = replace(with_values(samples, effort=samples.velocity), standing=standing)
     viscous = [0.3 * (c.effect.name == "viscous_friction") for c in session.model.coefficients]
     friction = np.append(session.model.nominal_inertias, viscous)
-    found = session.rms([samples], nominal[:, None], lambda samples: 0.3 * samples.velocity[:, :, None])
+    found = session.rms([samples], nominal[:, None], added=lambda samples: 0.3 * samples.velocity[:, :, None])
     np.testing.assert_allclose(found[:, 0], session.rms([samples], friction))
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate, LinksInformation
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate, LinksInformation, Predictor
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.geometry import pseudo_inertia
 
@@ -69,6 +69,7 @@ def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) 
         links=links,
         effects=effects,
         parameters=parameters,
+        predictor=Predictor(parameters, np.ones(2)),
         channels=("joint1", "joint2"),
         sigmas=of_channels,
         prior_stds=np.full(len(links), 0.2),

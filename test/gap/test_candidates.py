@@ -47,7 +47,7 @@ def named(effect: str, joint: int | None = None) -> list[Candidate]:
     return [c for c in ALL if c.name == effect and (joint is None or c.joint == joint)]
 
 
-@pytest.mark.parametrize("name", [name for name, cls in EFFECTS.items() if cls.place == "joint"])
+@pytest.mark.parametrize("name", [name for name, cls in EFFECTS.items() if cls.place == "joint" and cls.has_columns])
 def test_an_effect_of_joints_is_possible_at_every_joint_with_all_its_constants(name: str) -> None:
     for joint in range(3):
         own = named(name, joint)

@@ -12,7 +12,7 @@ from files.recordings import BAGS, TYPES
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, Predictor
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.effort_predictor import EffortPredictor, Predicted
 from geomid_ros.model.dynamics import InverseDynamics
@@ -55,6 +55,12 @@ def stream_of(session: Session, estimate: Estimate) -> EffortPredictor:
     return stream
 
 
+def as_described(estimate: Estimate, session: Session) -> Estimate:
+    """The inertias of the session's description, without effects."""
+    model = session.model
+    return replace(estimate, predictor=Predictor(model.nominal_parameters, np.ones(len(model.channels))))
+
+
 def motion_of(found: Iterable[Predicted]) -> FloatArray:
     """Positions, velocities and accelerations ``(3, N, joints)``."""
     return np.concatenate([predicted.motion for predicted in found], axis=1)
@@ -89,7 +95,7 @@ def test_messages_are_predicted_as_rows_predict_their_motion(
     motion, seen = exact(), motion_of(found)
     np.testing.assert_allclose(seen[:2, 1:], motion[:2, 1:], atol=0.02)
     np.testing.assert_allclose(seen[2, 50:], motion[2, 50:], atol=0.1 * np.max(np.abs(motion[2])))
-    expected = session.model.predicted_efforts(samples_of(motion), estimate.parameters)
+    expected = session.model.predicted_efforts(samples_of(motion), *estimate.predictor)
     errors = np.concatenate([predicted.efforts for predicted in found]) - expected
     sizes = np.sqrt(np.mean(expected**2, axis=0))
     assert np.all(np.sqrt(np.mean(errors[50:] ** 2, axis=0)) < 0.05 * np.max(sizes))
@@ -102,6 +108,7 @@ def test_efforts_are_those_of_the_rows(identification: Identification) -> None:
     random = np.random.default_rng(3)
     coefficients = random.uniform(0.1, 1.0, len(model.coefficients))
     parameters = np.append(model.nominal_inertias * random.uniform(0.5, 2.0), coefficients)
+    model = model.with_drive_gains(random.uniform(0.5, 2.0, len(model.channels)))
     states = random.normal(size=(3, 40, 3))
     expected = model.predicted_efforts(samples_of(states), parameters)
     np.testing.assert_allclose(InverseDynamics(model, parameters)(states), expected, atol=1e-9)
@@ -111,7 +118,7 @@ def test_efforts_are_in_the_unit_of_the_messages(identification: Identification)
     urdf, found = (BAGS / "arm3.urdf").read_text(encoding="utf-8"), []
     for gains in ({f"joint.{joint}.effort_gain": gain for joint, gain in GAINS.items()}, {}):
         session = Session(urdf, Configuration({"candidates": [], **gains}), "arm3.urdf")
-        estimate = replace(identification.estimate, parameters=session.model.nominal_parameters)
+        estimate = as_described(identification.estimate, session)
         found.append(next(stream_of(session, estimate).predict(messages())).efforts)
     np.testing.assert_allclose(found[0] * [*GAINS.values()], found[1], atol=1e-9)
 
@@ -122,14 +129,16 @@ def test_what_is_carried_is_predicted_until_it_is_put_down(identification: Ident
     stream, sent = EffortPredictor(), messages()
     columns = slice(len(session.model.nominal_inertias) - 10, len(session.model.nominal_inertias))
     body = pseudo_inertia.parameters_of(np.array([1.5, 0.0, 0.0, 0.1, 1e-2, 0.0, 1e-2, 0.0, 0.0, 1e-2]))
-    heavier = estimate.parameters.copy()
+    heavier = estimate.predictor.parameters.copy()
     heavier[columns] += body
     carried = CarriedPayload("tool", columns, body, np.eye(10), 0, 0)
     stream.set_payload(carried)
     stream.set_model(session, estimate)
-    for parameters in (heavier, estimate.parameters):
+    for parameters in (heavier, estimate.predictor.parameters):
         found = list(stream.predict(sent))
-        expected = session.model.predicted_efforts(samples_of(found[0].motion), parameters)
+        expected = session.model.predicted_efforts(
+            samples_of(found[0].motion), parameters, estimate.predictor.drive_gains
+        )
         np.testing.assert_allclose(found[0].efforts, expected, atol=1e-6)
         stream.set_payload(None)
 
@@ -143,7 +152,7 @@ def test_each_message_follows_the_one_before_however_many_come_at_once(
     urdf, random = (BAGS / "arm3.urdf").read_text(encoding="utf-8"), np.random.default_rng(1)
     endless = urdf.replace('<joint name="joint2" type="revolute">', '<joint name="joint2" type="continuous">')
     session = Session(endless, identification.session.configuration, "endless")
-    estimate = replace(identification.estimate, parameters=session.model.nominal_parameters)
+    estimate = as_described(identification.estimate, session)
     position, velocity, _ = exact()
     turned = position.copy()
     turned[:, 1] = np.remainder(turned[:, 1] - np.median(turned[:, 1]), 2.0 * np.pi)
@@ -190,7 +199,7 @@ def test_a_clock_may_begin_at_zero(identification: Identification) -> None:
 def test_another_robot_begins_anew(identification: Identification) -> None:
     urdf, sent = (BAGS / "arm3.urdf").read_text(encoding="utf-8"), messages()
     locked = Session(urdf, Configuration({"locked_joints": ["joint2"]}), "locked")
-    estimate = replace(identification.estimate, parameters=locked.model.nominal_parameters)
+    estimate = as_described(identification.estimate, locked)
     used = stream_of(identification.session, identification.estimate)
     assert [*used.predict(sent[:10])]
     used.set_model(locked, estimate)

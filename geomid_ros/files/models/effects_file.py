@@ -255,7 +255,7 @@ def write_sidecar(
     names = dict.fromkeys(entry["effect"] for entry in entries)
     meanings = "".join(f"#   {name}: {effect_class(name).meaning}\n" for name in names)
     own = {(effect.effect, effect.location) for effect in effects}
-    places = [(effect.effect, effect.location) for effect in estimated]
+    places = [(effect.effect, effect.location) for effect in estimated if effect.cls.has_columns]
     lacking = with_places((effect_name(name), place) for name, place in places if (name, place) not in own)
     comment = textwrap.fill(f"{_LACKING} {', '.join(lacking)}.", 120, initial_indent="# ", subsequent_indent="# ")
     write_text(path, _HEADER + meanings + (comment + "\n" if lacking else "") + text)

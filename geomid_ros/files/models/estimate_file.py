@@ -41,6 +41,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.effects import KnownEffect, effect_class, identifiable
 from geomid_ros.model.effects.parameters import quantities
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import GRAVITY
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
@@ -131,6 +132,15 @@ class HandoverEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
+class EffectFactors:
+    """Factors by which the parameters of an effect differ beside the gains of the drives."""
+
+    effect: str
+    joint: str = ""
+    factors: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
 class ErrorsEntry:
     """RMS residuals by channel."""
 
@@ -185,6 +195,7 @@ class EstimateFile:
     gravity: Vector = field(default_factory=GRAVITY.copy)
     information: InformationEntry | None = None
     handover: Mapping[str, HandoverEntry] = field(default_factory=dict)
+    predictor: tuple[EffectFactors, ...] = ()
     rms: ErrorsEntry = ErrorsEntry()
     sigma: ByChannel = field(default_factory=dict)
     floor: ByChannel = field(default_factory=dict)
@@ -409,6 +420,14 @@ def estimate_document(
         "sigma": by_channel(estimate.channels, estimate.sigmas),
         "information": information if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
+
+
+def predictor_entry(model: MeasurementModel, estimate: Estimate) -> list[dict[str, Any]]:
+    """Entry for the factors of an estimate's effects in its predictions."""
+    values = zip(estimate.parameters, estimate.predictor.parameters, strict=True)
+    pairs = zip(model.coefficients, list(values)[len(model.nominal_inertias) :], strict=True)
+    factors = ((c, float(beside / alone)) for c, (alone, beside) in pairs if alone)
+    return [{"effect": c.effect.name, "joint": c.place_name, "factors": {c.parameter: f}} for c, f in factors]
 
 
 def shares_from_data(estimate: Estimate) -> dict[tuple[str, str], float]:

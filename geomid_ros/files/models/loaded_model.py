@@ -18,9 +18,9 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.effects_file import by_parameter, combined, is_payload_name, updated_effects
-from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.files.models.estimate_file import EffectFactors, EstimateFile
 from geomid_ros.files.models.written_model import WrittenModel, fitted_model_of
-from geomid_ros.model.channels import AXES, WrenchSensor
+from geomid_ros.model.channels import AXES, Channel, WrenchSensor
 from geomid_ros.model.effects import Effect, IdentifiedEffect, KnownEffect, LoadEffect, SituationEffect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.urdf_tree import UrdfTree
@@ -33,7 +33,8 @@ class LoadedModel:
     """A model from the file ``source``: ``inertias (10,)`` of bodies by name, without payloads, and ``effects``.
     ``links_information`` is the joint information on these bodies, in their order. ``merged`` has the fixed links
     merged into them, if stated. ``warning`` is a sentence if its verdict makes the model doubtful. ``fitted_models``
-    has the models fitted for descriptions, by reader; ``posterior`` is set for a model identified in this process."""
+    has the models fitted for descriptions, by reader; ``posterior`` is set for a model identified in this process.
+    ``drives`` are gains of drives to predict with, and ``predictor`` the factors of the effects beside them."""
 
     source: str = ""
     inertias: Mapping[str, FloatArray] | None = None
@@ -43,6 +44,8 @@ class LoadedModel:
     warning: str = ""
     fitted_models: Mapping[str, WrittenModel] = field(default_factory=dict)
     posterior: Posterior | None = None
+    drives: tuple[KnownEffect, ...] = ()
+    predictor: tuple[EffectFactors, ...] = ()
 
     @staticmethod
     def read(path: str) -> LoadedModel:
@@ -57,12 +60,26 @@ class LoadedModel:
         return LoadedModel(
             source=file.source,
             inertias=file.inertias,
-            effects=tuple(file.known_effects),
+            effects=tuple(effect for effect in file.known_effects if effect.cls.has_columns),
             links_information=file.known_information,
             merged=file.merged,
             warning=file.warning,
             fitted_models=fitted,
+            drives=tuple(effect for effect in file.known_effects if not effect.cls.has_columns),
+            predictor=file.predictor,
         )
+
+    @property
+    def to_predict(self) -> LoadedModel:
+        """The model with gains of drives, and with the effects beside them."""
+        factors = {(e.effect, e.joint, name): factor for e in self.predictor for name, factor in e.factors.items()}
+        beside = (
+            replace(
+                e, parameters={n: q.scaled(factors.get((e.effect, e.joint, n), 1.0)) for n, q in e.parameters.items()}
+            )
+            for e in self.effects
+        )
+        return replace(self, effects=(*beside, *self.drives))
 
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
@@ -129,6 +146,12 @@ class LoadedModel:
         gains = {joint: by_joint.get(joint, 1.0) / self._gains.get(joint, 1.0) for joint in joints}
         delay = sum(effect.cls.effort_lag(effect.values) for effect in self.effects)
         return replace(settings, effort_gain=gains if self._gains else given, effort_delay=delay)
+
+    def drive_gains(self, channels: Sequence[Channel]) -> FloatArray:
+        """Factors ``(channels,)`` of the links' efforts."""
+        scales = [(known.joint, known.cls.load_scale(known.values)) for known in self.effects]
+        by_joint = {joint: scale for joint, scale in scales if scale != 1.0}
+        return np.array([by_joint.get(channel.name, 1.0) for channel in channels])
 
     @cached_property
     def _gains(self) -> dict[str, float]:

@@ -25,6 +25,7 @@ from geomid_ros.model.effects.parameters import ParameterForm as ParameterForm
 from geomid_ros.model.effects.parameters import Quantities
 from geomid_ros.model.effects.parameters import Quantity as Quantity
 from geomid_ros.model.effects.parameters import Values as Values
+from geomid_ros.model.effects.sensor_errors import DriveGain as DriveGain
 from geomid_ros.model.effects.situation import AtJoint as AtJoint
 from geomid_ros.model.effects.situation import AtJoints as AtJoints
 from geomid_ros.model.effects.situation import AtSensor as AtSensor
@@ -64,7 +65,7 @@ DEFAULT_CANDIDATES = (
 
 _FIRST = (
     *("viscous_friction", "rotor_inertia", "effort_offset", "spring"),
-    *("coulomb_friction", "stribeck_friction", "load_friction", "effort_gain"),
+    *("coulomb_friction", "stribeck_friction", "load_friction", "drive_gain", "effort_gain"),
     *("joint_elasticity", "backlash", "effort_delay", "gravity_tilt"),
     *("payload", "wrench_offset", "imu_offset", "command_delay"),
     *("saturating_friction", "quadratic_friction", "presliding", "coupled_viscous_friction"),

@@ -108,6 +108,10 @@ class Effect(ABC):
     """True if it depends on the past motion too, as friction at rest does."""
     scales_measurement: ClassVar[bool] = False
     """True if it acts on the measurement, after all other effects."""
+    has_columns: ClassVar[bool] = True
+    """True if coefficients of it can be fitted to rows; else it is found in another way."""
+    absent_value: ClassVar[float] = 0.0
+    """Value of its sizes when the effect is absent."""
     drift: ClassVar[float] = 0.0
     """Relative standard deviation of its coefficients between motions. The robot itself changes; the scatter within one
     motion does not show it."""
@@ -153,11 +157,6 @@ class Effect(ABC):
         """Parameters of the coefficients of its own columns; its other parts define theirs."""
         first = self.parts.index(self)
         return self.parameters[first : first + self.count]
-
-    @property
-    def absent_value(self) -> float:
-        """Value of its sizes when the effect is absent."""
-        return 1.0 if self.scales_measurement else 0.0
 
     def sizes(self, parameters: Mapping[str, Quantity]) -> dict[str, Quantity]:
         """Return those of its ``parameters`` that measure its size: all but constants; for a body, all."""
@@ -280,6 +279,11 @@ class Effect(ABC):
     @classmethod
     def effort_scale(cls, values: Values) -> float:  # noqa: ARG003
         """Return the factor from true to measured efforts at its joint."""
+        return 1.0
+
+    @classmethod
+    def load_scale(cls, values: Values) -> float:  # noqa: ARG003
+        """Return the factor of the links' effort in the measured one at its joint."""
         return 1.0
 
     @classmethod

@@ -35,32 +35,15 @@ class EffortOffset(JointEffect):
 _USED = (-0.7, 2.0)  # range of scale errors at which a model may be built
 
 
-class EffortGain(SituationEffect):
-    """Scale error of an effort sensor: the measured effort is ``(1 + c)`` times the true one."""
+class _Gain(Effect):
+    """A factor ``1 + c``."""
 
-    name = "effort_gain"
-    label = "a gain error of the measured effort"
-    meaning = "measured effort = gain (true + offset)"
     parameters = (ParameterForm("gain", ("-", "-"), above=0.0),)
     settled_by = "the same motion with a known payload"
     adds_up = False
+    absent_value = 1.0
     confusable_with_payload = True
-    compensated_in_samples = True
-    default_prior_std = (0.1,)
-    scales_measurement = True
-    corrected_in_samples = True
     positives = 0  # the gain minus 1
-
-    def is_out_of_range(self, coefficients: FloatArray) -> bool:
-        """True if no model may be built at these coefficients."""
-        return bool(np.any(coefficients != self.linearised_at(coefficients)))
-
-    def linearised_at(self, coefficients: FloatArray) -> FloatArray:
-        return np.clip(coefficients, *_USED)
-
-    def columns(self, situation: Situation, place: Place) -> FloatArray:
-        joint = joint_of(place)
-        return situation.column_of(joint, situation.predicted[:, joint])
 
     def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the gain."""
@@ -75,6 +58,49 @@ class EffortGain(SituationEffect):
     def combined(cls, first: Quantities, second: Quantities) -> Quantities:
         """Multiply the gains."""
         return {"gain": second["gain"].scaled(first["gain"].value)}
+
+
+class DriveGain(_Gain):
+    """Scale error of the load in the measured effort: what a joint's links need is measured ``(1 + c)`` times.
+
+    A wrong torque constant is one; friction and the rotor's inertia are then in units of the measured effort. Its
+    column is the effort of the links that are identified, so it is fitted when these are known.
+    """
+
+    name = "drive_gain"
+    label = "a gain error of the joint's drive"
+    meaning = "measured effort = gain * (effort of the links) + friction and rotor inertia + offset"
+    is_sensor_error = True
+    default_prior_std = (0.03,)  # of the torque constants of robots
+    has_columns = False
+
+    @classmethod
+    def load_scale(cls, values: Values) -> float:
+        """Return the gain."""
+        return values["gain"]
+
+
+class EffortGain(_Gain, SituationEffect):
+    """Scale error of an effort sensor: the measured effort is ``(1 + c)`` times the true one."""
+
+    name = "effort_gain"
+    label = "a gain error of the measured effort"
+    meaning = "measured effort = gain (true + offset)"
+    compensated_in_samples = True
+    default_prior_std = (0.1,)
+    scales_measurement = True
+    corrected_in_samples = True
+
+    def is_out_of_range(self, coefficients: FloatArray) -> bool:
+        """True if no model may be built at these coefficients."""
+        return bool(np.any(coefficients != self.linearised_at(coefficients)))
+
+    def linearised_at(self, coefficients: FloatArray) -> FloatArray:
+        return np.clip(coefficients, *_USED)
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        joint = joint_of(place)
+        return situation.column_of(joint, situation.predicted[:, joint])
 
     @classmethod
     def effort_scale(cls, values: Values) -> float:
