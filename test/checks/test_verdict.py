@@ -110,10 +110,11 @@ def test_a_channel_that_is_rarely_measured_is_judged_where_it_is() -> None:
     effort = held_out.effort.copy()
     effort[len(held_out) // 4 :, 1] = np.nan
     rarely = replace(held_out, effort=effort)
-    assert worse_channels(case.model, [rarely], estimate.parameters) == []
-    assert worse_channels(case.model, [rarely], with_rotor(estimate.parameters)) == ["joint2"]
+    wrong = estimate.predictor._replace(parameters=with_rotor(estimate.parameters))
+    assert worse_channels(case.model, [rarely], estimate.predictor) == []
+    assert worse_channels(case.model, [rarely], wrong) == ["joint2"]
     never = replace(held_out, effort=np.full_like(effort, np.nan))
-    assert worse_channels(case.model, [never], with_rotor(estimate.parameters)) == []
+    assert worse_channels(case.model, [never], wrong) == []
 
 
 def test_what_is_within_the_scatter_of_blocks_is_not_told() -> None:
