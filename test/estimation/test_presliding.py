@@ -15,9 +15,7 @@ from geomid_ros.model.effects.friction import (
     DISTANCES,
     SMOOTHINGS,
     CoulombFriction,
-    LoadFriction,
     Presliding,
-    StribeckFriction,
 )
 from geomid_ros.model.effects.situation import AtJoint
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -115,14 +113,3 @@ def test_a_joint_that_comes_to_rest_keeps_its_friction() -> None:
         assert effect.value == pytest.approx(level, rel=0.1)
     exact, predicted = model.predict(unseen, found.parameters)
     assert np.all(np.std(predicted - exact, axis=0) < 1.2 * NOISE)
-
-
-@pytest.mark.parametrize(
-    ("level", "excess", "kept", "is_supported"), [(1, 0, 0.9, True), (1, 0, 1.3, False), (1, 0.5, 1.2, True)]
-)
-def test_no_more_than_all_dry_friction_keeps_its_sign(
-    level: float, excess: float, kept: float, is_supported: bool
-) -> None:
-    own = Presliding()
-    assert own.is_supported({DRY: level, StribeckFriction(0.25): excess, own: kept}) == is_supported
-    assert own.is_supported({DRY: level, LoadFriction(): 0.1, own: kept}), "with the load there is more of it"

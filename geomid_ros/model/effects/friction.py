@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -66,7 +66,6 @@ class CoulombFriction(JointEffect):
     settled_by = "slow motion of this joint, back and forth at several constant speeds"
     drift = FRICTION_DRIFT
     is_dry_friction = True
-    levels_off = True
 
     @classmethod
     def grid(cls) -> tuple[Effect, ...]:
@@ -87,23 +86,7 @@ class CoulombFriction(JointEffect):
 SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
 """Grid of Stribeck speeds [rad/s or m/s]."""
 _TRIED = (0.03, 0.06, 0.12, 0.25)  # [rad/s or m/s]
-_CURVE = np.geomspace(SMOOTHINGS[0], 2.0 * SPEEDS[-1], 100)  # [rad/s or m/s]
 _LARGEST_EXCESS = 4.0  # in units of the friction of a fast joint
-
-
-def dry_friction(beside: Mapping[Effect, float]) -> FloatArray:
-    """Sum the friction of a joint's effects that level off, given with coefficients, over a range of speeds."""
-    zeros = np.zeros(len(_CURVE))
-    motion = JointMotion(np.array([zeros, _CURVE, zeros]))
-    dry = [c * e.column(motion) for e, c in beside.items() if isinstance(e, JointEffect) and e.levels_off]
-    return np.asarray(np.sum([zeros, *dry], axis=0))
-
-
-def exceeds_drift(effect: Effect, beside: Mapping[Effect, float]) -> bool:
-    """True if an effect of a joint is larger than the drift of the dry friction that the others there make. A smaller
-    one cannot be told from a change of these with speed and heat, or from another shape of theirs."""
-    others = {other: coefficient for other, coefficient in beside.items() if other != effect}
-    return beside[effect] > FRICTION_DRIFT * float(np.max(dry_friction(others)))
 
 
 @dataclass(frozen=True)
@@ -135,7 +118,6 @@ class StribeckFriction(JointEffect):
     adds_up = False
     contains = "coulomb_friction"
     is_dry_friction = True
-    levels_off = True
     positives = 2
     column_positives = 1  # dry friction that sets in gradually is SaturatingFriction
 
@@ -157,13 +139,6 @@ class StribeckFriction(JointEffect):
     def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if the excess is many times the level."""
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
-
-    def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
-        """True if it exceeds the drift, and dry friction falls with speed by more than half of the excess. Otherwise
-        the excess only reshapes friction near rest, or compensates another friction."""
-        friction, excess = dry_friction(effects_at_place), effects_at_place[self]
-        falls = bool(np.max(np.maximum.accumulate(friction) - friction) > 0.5 * excess)
-        return falls and exceeds_drift(self, effects_at_place)
 
     def column(self, motion: JointMotion) -> FloatArray:
         return CoulombFriction(self.smoothing).column(motion) * np.exp(-((motion.velocity / self.speed) ** 2))
@@ -243,7 +218,6 @@ class SaturatingFriction(JointEffect):
     drift = FRICTION_DRIFT
     constant = "speed"
     adds_up = False
-    levels_off = True
 
     @classmethod
     def grid(cls) -> tuple[Effect, ...]:
@@ -254,10 +228,6 @@ class SaturatingFriction(JointEffect):
     @classmethod
     def coarse_grid(cls) -> tuple[Effect, ...]:
         return tuple(cls(speed) for speed in SETTING_IN)
-
-    def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
-        """True if it exceeds the drift."""
-        return exceeds_drift(self, effects_at_place)
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.tanh(motion.velocity / self.speed)
@@ -312,12 +282,6 @@ class Presliding(JointEffect):
         return tuple(cls(distance) for distance in DISTANCES)
 
     coarse_grid = grid
-
-    def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
-        """True if the joint's dry friction is at least as large, up to drift, as the part that keeps its sign; with
-        friction by load it has no one size."""
-        by_load = any(isinstance(effect, LoadFriction) for effect in effects_at_place)
-        return by_load or bool(effects_at_place[self] <= (1.0 + self.drift) * np.max(dry_friction(effects_at_place)))
 
     @classmethod
     def states(cls, effects: Sequence[Self], moved: FloatArray, before: FloatArray) -> FloatArray:
