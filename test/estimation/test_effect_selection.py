@@ -221,6 +221,22 @@ def test_what_was_chosen_before_is_not_searched_for_again(monkeypatch: pytest.Mo
     np.testing.assert_array_equal(again.parameters, found.parameters)
 
 
+def test_the_best_of_those_that_the_score_test_prefers_comes_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two springs of which it prefers the lesser one."""
+    case = planted("arm3", 1, "spring")
+    change = np.zeros_like(case.samples.effort)
+    change[:, 2] = 0.1 * case.samples.position[:, 2]
+    (lesser,), (larger,) = (np.setdiff1d(columns(case, ("spring", joint)), columns(case)) for joint in (2, 1))
+    gains, search, before = CoefficientFit.gains, effect_selection._trials_of_best, list[IntArray]()
+    monkeypatch.setattr(CoefficientFit, "gains", lambda fit, among: gains(fit, among) + 1e6 * (among == lesser))
+    monkeypatch.setattr(
+        effect_selection, "_trials_of_best", lambda *of: before.append(of[0].all_columns) or search(*of)
+    )
+    solved(case.with_efforts(case.samples.effort + change))
+    _, after_one, after_two, *_ = before
+    assert [larger in after_one, lesser in after_one, lesser in after_two] == [True, False, True]
+
+
 def test_what_was_chosen_before_goes_if_nothing_asks_for_it_any_more() -> None:
     """One coefficient that stands for nothing, beside one that is right: the choice begins from nothing."""
     case = planted("arm3", 1, "spring")
