@@ -22,6 +22,7 @@ from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.coefficients import Coefficient, Mechanism
+from geomid_ros.model.effects import Effect, Place
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 
@@ -114,9 +115,18 @@ class CoefficientRows:
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     def are_plausible(self, columns: IntArray, parameters: FloatArray) -> BoolArray:
-        """True for each optional coefficient among ``columns`` that is in its range, for all ``parameters (D,)``."""
-        chosen = np.intersect1d(columns, self.optional).tolist()
-        return np.array([self.allows(column, parameters[column]) for column in chosen], dtype=np.bool_)
+        """True for each optional coefficient among ``columns`` that is in its range, and whose effect does what it
+        stands for given the others at its place, for all ``parameters (D,)``."""
+        chosen = [(column, self.coefficient(column)) for column in np.intersect1d(columns, self.optional).tolist()]
+        peers: dict[Place, dict[Effect, float]] = {c.place: {} for _, c in chosen}
+        for column in columns[columns >= self.first_column] if chosen else ():
+            coefficient = self.coefficient(column)
+            if coefficient.place in peers:
+                peers[coefficient.place][coefficient.effect] = float(parameters[column])
+        return np.array(
+            [self.allows(column, parameters[column]) and c.effect.is_supported(peers[c.place]) for column, c in chosen],
+            dtype=np.bool_,
+        )
 
     @cached_property
     def products(self) -> ChannelProducts:

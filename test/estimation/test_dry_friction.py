@@ -15,7 +15,7 @@ from geomid_ros.gap.candidates import EffectTerm, passivity_constraints
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import Spring
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
-from geomid_ros.model.effects.friction import CoulombFriction, StribeckFriction, ViscousFriction
+from geomid_ros.model.effects.friction import CoulombFriction, SaturatingFriction, StribeckFriction, ViscousFriction
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.session.configuration import Configuration
 
@@ -89,6 +89,26 @@ def test_rows_are_of_driven_places_alone() -> None:
     assert passivity_constraints(terms, np.array([-1.0, -5.0, 1.0, 0.0, -0.9])).shape == (0, 5)  # one is left out
     alone = [EffectTerm(dry, first), EffectTerm(Spring(), first)]
     assert passivity_constraints(alone, np.array([-1.0, -1.0])).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("level", "smoothing", "excess", "speed", "made_up", "falls"),
+    [
+        (1.0, 0.003, 0.3, SPEED, 0.0, True),
+        (1.0, 0.003, 0.19, SPEED, 0.0, False),
+        (1.0, 0.02, 3.0, SPEED, 0.0, True),
+        (0.6, 0.003, 0.4, SPEED, 0.5, False),
+        (5.0, 0.06, 1.0, 0.06, 0.0, False),
+    ],
+)
+def test_stribeck_friction_is_friction_that_falls(
+    level: float, smoothing: float, excess: float, speed: float, made_up: float, falls: bool
+) -> None:
+    """Its excess may make up for friction that sets in with speed, or for another shape near rest: then it is none.
+    Nor is one that is smaller than the drift of the dry friction."""
+    own = StribeckFriction(speed)
+    dry = {CoulombFriction(smoothing): level, own: excess, SaturatingFriction(0.15): made_up}
+    assert own.is_supported({**dry, ViscousFriction(): 9.0}) == falls
 
 
 # --- What may as well be nothing ---

@@ -77,6 +77,8 @@ class Effect(ABC):
     """True if it acts on the motor side of the gear only, so a sensor on the link side does not measure it."""
     is_dry_friction: ClassVar[bool] = False
     """True if its coefficient counts in full in the dry friction at very low speed."""
+    levels_off: ClassVar[bool] = False
+    """True if it is friction that tends to a constant level as speed grows."""
     turns_gravity: ClassVar[bool] = False
     """True if it rotates gravity, which affects wrench sensors too."""
     adds_up: ClassVar[bool] = True
@@ -171,6 +173,10 @@ class Effect(ABC):
     def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if the ``coefficients (k,)`` are out of range for a robot that works, whatever their signs."""
         return bool(np.any(np.abs(coefficients) > self.largest))
+
+    def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:  # noqa: ARG002
+        """True if all effects at its place, given with coefficients, together show the behaviour it stands for."""
+        return True
 
     def linearised_at(self, coefficients: FloatArray) -> FloatArray:
         """Return the nearest coefficients ``(k,)`` at which columns may be computed."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -66,6 +66,7 @@ class CoulombFriction(JointEffect):
     settled_by = "slow motion of this joint, back and forth at several constant speeds"
     drift = FRICTION_DRIFT
     is_dry_friction = True
+    levels_off = True
 
     @classmethod
     def grid(cls) -> tuple[Effect, ...]:
@@ -86,7 +87,16 @@ class CoulombFriction(JointEffect):
 SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
 """Grid of Stribeck speeds [rad/s or m/s]."""
 _TRIED = (0.03, 0.06, 0.12, 0.25)  # [rad/s or m/s]
+_CURVE = np.geomspace(SMOOTHINGS[0], 2.0 * SPEEDS[-1], 100)  # [rad/s or m/s]
 _LARGEST_EXCESS = 4.0  # in units of the friction of a fast joint
+
+
+def dry_friction(beside: Mapping[Effect, float]) -> FloatArray:
+    """Sum the friction of a joint's effects that level off, given with coefficients, over a range of speeds."""
+    zeros = np.zeros(len(_CURVE))
+    motion = JointMotion(np.array([zeros, _CURVE, zeros]))
+    dry = [c * e.column(motion) for e, c in beside.items() if isinstance(e, JointEffect) and e.levels_off]
+    return np.asarray(np.sum([zeros, *dry], axis=0))
 
 
 @dataclass(frozen=True)
@@ -118,6 +128,7 @@ class StribeckFriction(JointEffect):
     adds_up = False
     contains = "coulomb_friction"
     is_dry_friction = True
+    levels_off = True
     positives = 2
     column_positives = 1  # dry friction that sets in gradually is SaturatingFriction
 
@@ -139,6 +150,14 @@ class StribeckFriction(JointEffect):
     def is_out_of_range(self, coefficients: FloatArray) -> bool:
         """True if the excess is many times the level."""
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
+
+    def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:
+        """True if it exceeds the drift, and dry friction falls with speed by more than half of the excess. Otherwise
+        the excess only reshapes friction near rest, or compensates another friction."""
+        friction, excess = dry_friction(effects_at_place), effects_at_place[self]
+        others = {effect: coefficient for effect, coefficient in effects_at_place.items() if effect != self}
+        falls = bool(np.max(np.maximum.accumulate(friction) - friction) > 0.5 * excess)
+        return falls and excess > FRICTION_DRIFT * float(np.max(dry_friction(others)))
 
     def column(self, motion: JointMotion) -> FloatArray:
         return CoulombFriction(self.smoothing).column(motion) * np.exp(-((motion.velocity / self.speed) ** 2))
@@ -218,6 +237,7 @@ class SaturatingFriction(JointEffect):
     drift = FRICTION_DRIFT
     constant = "speed"
     adds_up = False
+    levels_off = True
 
     @classmethod
     def grid(cls) -> tuple[Effect, ...]:
