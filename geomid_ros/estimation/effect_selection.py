@@ -42,7 +42,7 @@ from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.coefficients import Coefficient, Mechanism
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement_model import MeasurementModel
-from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
+from geomid_ros.types import FloatArray, IntArray, frozen
 
 _VISIBLE = 0.04
 """Least fraction of a channel's residual sum of squares that a visible effect explains."""
@@ -143,28 +143,13 @@ def _best_shapes(trials: Trials, columns: IntArray) -> Trial:
 
 
 def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
-    """Remove the optional effects that are implausible, not significant or not visible beside the others, the least
-    significant first."""
+    """Remove the optional effects that are implausible or not significant, the least significant first."""
     while len(fit.chosen_columns):
-        squares = fit.is_plausible * fit.squares_of(fit.chosen_columns) * _are_visible(fit)
+        squares = fit.is_plausible * fit.squares_of(fit.chosen_columns)
         if np.min(squares) > SIGNIFICANT_STDS**2:
             break
         fit = fit.rows.fit(np.setdiff1d(fit.all_columns, fit.chosen_columns[np.argmin(squares)]), fit)
     return fit
-
-
-def _are_visible(fit: CoefficientFit) -> BoolArray:
-    """True for each of the chosen columns that the rows of motion would miss; those at rest decide on none."""
-    if fit.rows.at_rest:
-        return np.ones(len(fit.chosen_columns), dtype=np.bool_)
-    gone = ((column, np.setdiff1d(fit.all_columns, column)) for column in fit.chosen_columns)
-    without = (Trials(fit, np.array([column])).trials([others])[0] for column, others in gone)
-    return np.array([_is_visible(*reversed(trial.visible_squares)) for trial in without], dtype=np.bool_)
-
-
-def _is_visible(without: FloatArray, present: FloatArray) -> bool:
-    """True if residual squares of any group are smaller by :data:`_VISIBLE` than those without an effect."""
-    return bool(np.any(present < (1.0 - _VISIBLE) * without))
 
 
 def _trials_of_best(present: CoefficientFit, candidates: IntArray) -> dict[int, Trial | None]:
@@ -186,7 +171,7 @@ def _trial(starts: Sequence[CoefficientFit], column: int) -> Trial | None:
     columns = np.append(starts[0].all_columns, column)
     tried = [_best_shapes(_trials(start, joints, shapes), columns) for start in starts]
     best = min(tried, key=lambda trial: trial.score)
-    return best if best.is_plausible and any(_is_visible(*trial.visible_squares) for trial in tried) else None
+    return best if best.is_plausible and any(trial.leaves_less(_VISIBLE) for trial in tried) else None
 
 
 def fit_files(

@@ -38,11 +38,11 @@ class Trial:
         """True if every optional effect is plausible."""
         return bool(np.all(self.trials.rows.are_plausible(self.all_columns, self._state[:-1])))
 
-    @property
-    def visible_squares(self) -> tuple[FloatArray, FloatArray]:
-        """Residual squares of the fit, and here, of the groups in which these effects must be visible ``(n,)``."""
-        visible = self.trials.rows.visible(self.trials.channels)
-        return self.trials.fit.residual_squares[visible], self.trials.rows.products.squares(self._state)[visible]
+    def leaves_less(self, share: float) -> bool:
+        """True if it reduces the residual of a group of the fit in which effects must be visible by this fraction."""
+        rows = self.trials.rows
+        visible, remaining = rows.visible(self.trials.channels), rows.products.squares(self._state)
+        return bool(np.any(remaining[visible] < (1.0 - share) * self.trials.fit.residual_squares[visible]))
 
     @property
     def _state(self) -> FloatArray:
