@@ -217,9 +217,8 @@ class Supervisor:
         """Save the last estimate, unless that began already; wait until :data:`PATIENCE` after ``begin`` [s]. No newer
         one is begun after that: the process would end in the middle of it."""
         estimate, left = worker.estimate, begin + PATIENCE - time.monotonic()
-        if self._configuration["output_folder"] and estimate is not None and estimate not in saved:
-            if saved and left <= 0.0:
-                return saved
+        may_save = self._configuration["output_folder"] and (left > 0.0 or not saved)
+        if may_save and estimate is not None and estimate not in saved:
             saved = {**saved, estimate: self.saving.save_last(worker.session, estimate)}
             wait(saved.values(), max(0.0, left))
         return saved
