@@ -156,6 +156,14 @@ def test_reversed_efforts_of_legs_are_named(joints: list[int]) -> None:
         assert cause.settings == {f"joint.{name}.effort_gain": 1.0 for name in cause.places}
 
 
+def test_a_sign_of_an_effort_must_repeat() -> None:
+    """In both halves: what changes amid a recording is no sign."""
+    samples = carrying()
+    effort = samples.effort.copy()
+    effort[len(effort) // 2 :, 0] *= -0.5
+    assert reversed_efforts(legs(), with_values(samples, effort=effort), ROBOT.joint_names, np.ones(12)) == []
+
+
 def test_half_of_the_force_on_the_base_must_be_explained() -> None:
     """And of the moment, each as a vector: one axis may be mostly noise."""
     model, samples = MeasurementModel(ROBOT, [], contacts=legs().contacts), carrying()

@@ -100,6 +100,7 @@ def test_a_foot_that_no_contact_names_is_found(folder: Path) -> None:
     share = float(re.findall(r"(\d+) % at 'RR_foot'", sentence)[0])
     assert 10.0 < share < 50.0
     assert found.warnings == []
+    assert not any(effect.name == "drive_gain" for effect in found.effects), "what the ground does is not measured"
 
 
 def test_an_imu_that_is_turned_is_told(folder: Path, tmp_path: Path) -> None:

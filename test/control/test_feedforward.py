@@ -180,6 +180,20 @@ def test_only_what_the_motors_do_is_commanded(estimate: Path) -> None:
     np.testing.assert_allclose(efforts("viscous_friction") - efforts("nothing"), 5.0 * states[1], atol=1e-9)
 
 
+def test_what_a_body_adds_is_scaled_by_its_drives(estimate: Path) -> None:
+    session = geomid_ros.feedforward(motion(), estimate, force=True).session
+    model, states = session.model.with_drive_gains(np.array([1.2, 0.9, 1.1])), motion().states(np.array([1.3]))[:3]
+    added = np.zeros(len(session.known_parameters))
+    added[model.body_names.index("link3") * 10] = 1.0
+    alone, loaded = (
+        MotorEfforts(model, session.known_parameters + more, session.effort_gains, JOINTS, "a motion")
+        for more in (0.0 * added, added)
+    )
+    rows, _ = alone.of_body("link3")
+    difference = loaded(states)[0] - alone(states)[0]
+    np.testing.assert_allclose(rows(states[:, 0]) @ np.eye(10)[0], difference, rtol=1e-9, atol=1e-12)
+
+
 def test_a_robot_on_its_legs_and_efforts_that_cannot_be_predicted_are_refused(estimate: Path, tmp_path: Path) -> None:
     document, legs = json.loads(estimate.read_text()), estimate.with_name("legs.json")
     document["channels"].append({"channel": "base/fx", "unit": "N"})

@@ -93,6 +93,11 @@ def test_rows_of_a_model_with_gains_are_its_predictions() -> None:
     again, rows = case.model.with_drive_gains(gains).predict(case.samples, case.truth)
     np.testing.assert_array_equal(measured, again)
     np.testing.assert_allclose(predicted, rows, rtol=1e-9, atol=1e-9)
+    some = arm("arm7", 0, links=("link5",)).model  # the others have the URDF's inertias
+    nothing = np.append(some.nominal_inertias, np.zeros(len(some.coefficients)))
+    load = some.predicted_efforts(case.samples, nothing)
+    scaled = some.with_drive_gains(gains).predicted_efforts(case.samples, nothing)
+    np.testing.assert_allclose(scaled, gains * load, rtol=1e-9, atol=1e-9)
     several = case.model.predict(case.samples, np.column_stack([case.truth] * 2), np.column_stack([gains, gains**0]))
     np.testing.assert_allclose(several[1][:, :, 0], predicted)
     np.testing.assert_allclose(several[1][:, :, 1], case.model.predict(case.samples, case.truth)[1])
