@@ -20,8 +20,9 @@ anew. Inertias stand in for a rotor that the file lacks; masses would, too, so t
 But inertias may also follow what is missing where only this recording has it, and predict other motion badly. So
 the file keeps the estimate's links, unless others predict folds of time better that were left out of the fit. The block
 weights of a coupled prior are those of the estimate. Errors of sensors stay in the fit: they move nothing, and a file
-need not hold them, but without them a mass would absorb an offset. Those that are not significant are left out: weights
-that they absorb would be lost.
+need not hold them, but without them a mass would absorb an offset. They are left out, as weights that they absorb would
+be lost, unless they are significant both in the estimate and in the file's own fit. So is the offset of a spring that a
+file lacks: it is no error of a sensor.
 """
 
 from __future__ import annotations
@@ -191,27 +192,37 @@ def fit_files(
         insignificant_errors: columns of sensor errors that are not significant.
         choose: chooses effects among the columns that a file can hold, starting from those of the estimate among them:
             other effects may absorb one that the file lacks.
-        fitted: fits the parameters of some columns; True if the file cannot hold what a mass may stand in for.
+        fitted: fits the parameters ``(D,)`` of some columns; True if the file cannot hold what a mass may stand in for.
     """
     by_columns: dict[tuple[int, ...], FloatArray] = {}
     within = {}
     for reader, elements in files.items():
-        held = np.setdiff1d(held_columns(model, np.arange(model.dimension), elements), insignificant_errors)
-        columns = choose(held, np.setdiff1d(held_columns(model, estimate_columns, elements), insignificant_errors))
-        lacks = _lacks_like_mass(model, estimate_columns, elements)
-        if (key := (lacks, *columns.tolist())) not in by_columns:  # different files may hold the same columns
-            parameters = np.zeros(model.dimension)
-            parameters[columns] = fitted(columns, lacks)
-            by_columns[key] = frozen(parameters)
+        lost = [c for c in _coefficients(model, estimate_columns) if not _is_held(c, elements)]
+        left_out = np.union1d(insignificant_errors, _errors_in(lost, model))
+        columns = choose(
+            *(
+                np.setdiff1d(held_columns(model, columns, elements), left_out)
+                for columns in (np.arange(model.dimension), estimate_columns)
+            )
+        )
+        lacks_like_mass = any(c.effect.confusable_with_payload for c in lost)
+        if (key := (lacks_like_mass, *columns.tolist())) not in by_columns:  # different files may hold the same columns
+            by_columns[key] = frozen(fitted(columns, lacks_like_mass))
         within[reader] = by_columns[key]
     return within
 
 
-def _lacks_like_mass(model: MeasurementModel, columns: IntArray, elements: Collection[str]) -> bool:
-    """True if a file with these ``elements`` cannot hold an effect among ``columns`` that a mass may stand in for."""
+def _coefficients(model: MeasurementModel, columns: IntArray) -> list[Coefficient]:
+    """Coefficients among ``columns`` of the parameters."""
     first = len(model.nominal_inertias)
-    coefficients = [model.coefficients[column - first] for column in columns.tolist() if column >= first]
-    return any(c.effect.confusable_with_payload and not _is_held(c, elements) for c in coefficients)
+    return [model.coefficients[column - first] for column in columns.tolist() if column >= first]
+
+
+def _errors_in(lost: Sequence[Coefficient], model: MeasurementModel) -> IntArray:
+    """Columns of errors of sensors that are part of effects which a file has ``lost``: a spring's offset."""
+    parts = {(c.place, part) for c in lost for part in c.effect.parts if part.is_sensor_error}
+    is_part = [(c.place, c.effect) in parts for c in model.coefficients]
+    return len(model.nominal_inertias) + np.flatnonzero(is_part)
 
 
 def file_fit(own: Fit, estimate: Fit) -> FloatArray:
@@ -261,10 +272,8 @@ def _steps(fit: Fit, products: FloatArray, first: FloatArray | None = None) -> F
 def held_columns(model: MeasurementModel, columns: IntArray, elements: Collection[str]) -> IntArray:
     """Columns among ``columns`` that a file with these ``elements`` holds, with errors of sensors; effects in their
     default shape, because no file can hold another."""
-    first = len(model.nominal_inertias)
-    coefficients = [model.coefficients[column - first] for column in columns.tolist() if column >= first]
-    held = {model.usual_shapes[c.mechanism] for c in coefficients if _is_held(c, elements)}
-    return np.array([*columns[columns < first].tolist(), *sorted(held)], dtype=np.int64)
+    held = {model.usual_shapes[c.mechanism] for c in _coefficients(model, columns) if _is_held(c, elements)}
+    return np.append(columns[columns < len(model.nominal_inertias)], sorted(held)).astype(np.int64)
 
 
 def _is_held(coefficient: Coefficient, elements: Collection[str]) -> bool:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TypeAlias
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
-from geomid_ros.model.coefficients import Coefficient
+from geomid_ros.model.coefficients import Mechanism
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
@@ -42,7 +41,6 @@ _SPENT = (
     "the solver ran out of steps before the prior stds of the links converged; masses are those of the last step; "
     "check that the URDF is this robot's and in SI units, and the signs of the efforts"
 )
-_Solved: TypeAlias = tuple[Fit, Mapping[str, float], Iterable[str]]  # weights of a coupled prior's blocks, and warnings
 WHITE_ROWS_PER_PERIOD = 1.79
 """Independent rows per period of the filter's cutoff if the noise is white and columns vary slowly: twice the filter's
 noise bandwidth over the cutoff."""
@@ -135,7 +133,7 @@ def estimate(
     begin = time.perf_counter()
     if summary.rows == 0:
         raise InputError("no usable rows: nothing was measured, or the robot never moved")
-    full_problem = Problem(
+    whole = Problem(
         model,
         _pooled(model, summary),
         given_parameters=prior,
@@ -146,58 +144,90 @@ def estimate(
         given_stds=prior_stds,
     )
     # Repeats of a motion count when effects are chosen; for the uncertainty of the parameters they hardly do.
-    independent = full_problem.independent_fraction * subproblem(full_problem, required_columns(model)).distinct
+    independent = whole.independent_fraction * subproblem(whole, required_columns(model)).distinct
+    fits = _Fits(settings, whole, independent)
+    if warm is not None and not warm.effects_alone:
+        found = fits.solved(_kept_columns(model, warm), start=warm)
+    else:
+        choice = fits.choice(whole, None if warm is None else _kept_columns(model, warm))
+        found = _significant(partial(fits.solved, alternative=choice), choice.columns, _optional(model))
+    result = _estimate(found, whole)
+    errors_of_sensors = {c.mechanism for c in model.coefficients if c.effect.is_sensor_error}
+    unsure = np.array([*_insignificant(found, errors_of_sensors)], dtype=np.int64)
+    own_fits = replace(fits, settings=replace(settings, objective="residual"))
 
-    def fitted(
+    def of_file(held: IntArray, lacks_like_mass: bool) -> FloatArray:
+        masses = _masses(result) if lacks_like_mass else None
+        own = _significant(partial(own_fits.solved, weights=found.weights, masses=masses), held, errors_of_sensors)
+        parameters = np.zeros(model.dimension)
+        parameters[own.columns] = file_fit(own.minimum.fitted, found.minimum.fitted)
+        return parameters
+
+    within = fit_files(model, found.columns, settings.files, unsure, fits.among, of_file)
+    return replace(result, within=within, seconds=time.perf_counter() - begin)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A fit of the ``columns`` of a problem: its ``minimum``, and ``weights`` of the blocks of a coupled prior with
+    ``notes`` on these."""
+
+    columns: IntArray
+    minimum: _Minimum
+    weights: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Fits:
+    """Fits of some parameters of the ``whole`` problem. Of all rows, an ``independent`` fraction counts."""
+
+    settings: EstimatorSettings
+    whole: Problem
+    independent: float
+
+    def choice(self, problem: Problem, start: IntArray | None) -> Choice:
+        """Choose the parameters of a problem, see :func:`choose`."""
+        return choose(problem, start, partial(_at_prior, self.settings))
+
+    def among(self, held: IntArray, start: IntArray) -> IntArray:
+        """Choose among the columns that are ``held``, from a ``start``."""
+        return held[self.choice(subproblem(self.whole, held), np.searchsorted(held, start)).columns]
+
+    def solved(
+        self,
         columns: IntArray,
+        *,
         start: WarmStart | None = None,
         alternative: Choice | None = None,
         weights: Mapping[str, float] | None = None,
         masses: WeighedRows | None = None,
     ) -> _Solved:
-        whole = full_problem if masses is None else full_problem.with_known_rows(masses)
-        problem = replace(subproblem(whole, columns), independent_fraction=independent)
-        solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
+        """Fit some columns: from a ``start``, or also from an ``alternative`` one. A coupled prior's ``weights`` and
+        ``masses`` may be known."""
+        whole = self.whole if masses is None else self.whole.with_known_rows(masses)
+        problem = replace(subproblem(whole, columns), independent_fraction=self.independent)
+        solve: Callable[..., Fit] = partial(fit, tolerance=self.settings.tolerance, max_steps=self.settings.max_steps)
         if start is not None:
             solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), prior_stds=start.spreads)
         elif alternative is not None and alternative.parameters is not None:
             solve = with_second_start(solve, problem.point_at(alternative.parameters[columns]), alternative.prior_stds)
-        prior = _coupled_prior(settings, problem)
+        prior = _coupled_prior(self.settings, problem)
+        minimum = partial(_minimum, settings=self.settings, columns=columns, whole=self.whole)
         if prior is None:
-            return solve(problem), {}, ()
+            return _Solved(columns, minimum(solve(problem)))
         found, weights = fit_with_coupled_prior(prior, solve, weights)
-        return found, weights, prior.release_warnings(weights)
+        return _Solved(columns, minimum(found), weights, tuple(prior.release_warnings(weights)))
 
-    def chosen(problem: Problem, start: IntArray | None) -> Choice:
-        return choose(problem, start, partial(_at_prior, settings))
 
-    kept_columns = None if warm is None else _kept_columns(model, warm)
-    continued = None if warm is None or warm.effects_alone else warm
-    choice = chosen(full_problem, kept_columns) if kept_columns is None or continued is None else Choice(kept_columns)
-    columns = choice.columns
+def _significant(solve: Callable[[IntArray], _Solved], columns: IntArray, may_go: Collection[Mechanism]) -> _Solved:
+    """Fit ``columns``, without those of the effects that ``may_go`` that are not significant."""
     while True:
-        # Solve anew, not from the last result: a dropped effect may have led it to another minimum.
-        solved = fitted(columns, continued, choice)
-        minimum = _minimum(solved[0], settings, columns, full_problem)
-        if continued is not None or not len(insignificant := _least_significant(model, minimum, columns)):
-            break
-        columns = np.setdiff1d(columns, insignificant)
-
-    def among(held: IntArray, start: IntArray) -> IntArray:
-        return np.asarray(held[chosen(subproblem(full_problem, held), np.searchsorted(held, start)).columns])
-
-    found, weights, notes = solved
-    errors = _insignificant_errors(model, minimum, columns)
-    result = _estimate(columns, full_problem, minimum, notes)
-    within = fit_files(
-        model,
-        columns,
-        settings.files,
-        errors,
-        among,
-        lambda held, like: file_fit(fitted(held, weights=weights, masses=_masses(result) if like else None)[0], found),
-    )
-    return replace(result, within=within, seconds=time.perf_counter() - begin)
+        solved = solve(columns)  # anew, not from the last result: a dropped effect may have led it to another minimum
+        sizes = _insignificant(solved, may_go)
+        if not sizes:
+            return solved
+        columns = np.setdiff1d(columns, min(sizes, key=sizes.__getitem__))  # without it, the others may be significant
 
 
 def _masses(found: Estimate) -> WeighedRows:
@@ -233,29 +263,22 @@ def _kept_columns(model: MeasurementModel, warm: WarmStart) -> IntArray:
     return np.flatnonzero(np.append(np.full(first, True), np.array(is_kept, dtype=bool)))
 
 
-def _least_significant(model: MeasurementModel, minimum: _Minimum, columns: IntArray) -> IntArray:
-    """Column of the least significant optional effect; none if all are significant. Without it the others may be."""
+def _optional(model: MeasurementModel) -> set[Mechanism]:
+    """Mechanisms that no coefficient requires."""
     required = {c.mechanism for c in model.coefficients if not c.optional}
-    sizes = {k: size for k, c, size in _insignificant_effects(model, minimum, columns) if c.mechanism not in required}
-    return np.array([column for column, size in sizes.items() if size == min(sizes.values())], dtype=np.int64)
+    return {c.mechanism for c in model.coefficients} - required
 
 
-def _insignificant_errors(model: MeasurementModel, minimum: _Minimum, columns: IntArray) -> IntArray:
-    """Columns of the sensor errors that are not significant."""
-    effects = _insignificant_effects(model, minimum, columns)
-    return np.array([column for column, c, _ in effects if c.effect.is_sensor_error], dtype=np.int64)
-
-
-def _insignificant_effects(
-    model: MeasurementModel, minimum: _Minimum, columns: IntArray
-) -> Iterator[tuple[int, Coefficient, float]]:
-    """Yield column, coefficient and size, in units of its standard deviation, of each effect that is not
-    significant."""
-    first = model.dimension - len(model.coefficients)
-    for column, effect in zip(columns[columns >= first].tolist(), minimum.effects, strict=True):
-        size = abs(effect.value) / max(effect.std, np.finfo(float).tiny)
-        if size < _TAKEN:
-            yield column, model.coefficients[column - first], size
+def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, float]:
+    """Columns of those ``among`` the effects that are not significant, with their sizes in standard deviations."""
+    problem = solved.minimum.fitted.problem
+    coefficients = zip(problem.model.coefficients, solved.minimum.effects, strict=True)
+    sizes = [
+        abs(effect.value) / max(effect.std, np.finfo(float).tiny) if c.mechanism in among else np.inf
+        for c, effect in coefficients
+    ]
+    columns = solved.columns[problem.manifold.inertial.stop :]
+    return {column: size for column, size in zip(columns.tolist(), sizes, strict=True) if size < _TAKEN}
 
 
 def filtered_fraction(
@@ -354,8 +377,9 @@ def _minimum(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole:
     )
 
 
-def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Iterable[str]) -> Estimate:
-    """Assemble the estimate from a minimum over these columns of the ``whole`` problem."""
+def _estimate(found: _Solved, whole: Problem) -> Estimate:
+    """Assemble the estimate from a fit of the ``whole`` problem."""
+    columns, minimum = found.columns, found.minimum
     fitted, solution = minimum.fitted, minimum.solution
     problem, point = fitted.problem, solution.point
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
@@ -400,7 +424,7 @@ def _estimate(columns: IntArray, whole: Problem, minimum: _Minimum, notes: Itera
             *_still_warnings(model, summary),
             *_far_warnings(model, fitted, point),
             *([_SPENT] if fitted.budget_exhausted else []),
-            *notes,
+            *found.notes,
         ),
     )
 

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import STDS_OF_95, EffectEstimate, Estimate
-from geomid_ros.estimation.estimator import _least_significant
+from geomid_ros.estimation.estimator import _significant, _Solved
 from geomid_ros.gap.candidates import EffectTerm, passivity_constraints
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import Spring
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
 from geomid_ros.model.effects.friction import CoulombFriction, SaturatingFriction, StribeckFriction, ViscousFriction
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.types import IntArray
 
 from .arms import Case, Truth, arm, efforts, solved
 
@@ -114,18 +116,22 @@ def test_stribeck_friction_is_friction_that_falls(
 # --- What may as well be nothing ---
 
 
-def found(*sizes: float, optional: bool = True) -> Any:
-    """The model, estimate and columns of effects that are so many of their deviations."""
-    coefficients = [SimpleNamespace(mechanism=("effect", place), optional=optional) for place in range(len(sizes))]
-    effects = [SimpleNamespace(value=-size, std=1.0) for size in sizes]
-    model = SimpleNamespace(dimension=10 + len(sizes), coefficients=coefficients)
-    return model, SimpleNamespace(effects=effects), np.arange(model.dimension)
-
-
 @pytest.mark.parametrize(("sizes", "gone"), [((0.9, 0.5, 0.7), [11]), ((1.98, 5.0), [10]), ((2.02, 3.0), [])])
 def test_the_least_one_goes_alone(sizes: tuple[float, ...], gone: list[int]) -> None:
     """Two that share what they explain are both unsure beside each other, and one of them is not by itself."""
-    assert _least_significant(*found(*sizes)).tolist() == gone
+    mechanisms = [("effect", place) for place in range(len(sizes))]
+
+    def solve(columns: IntArray) -> Any:
+        """The effects are so many of their deviations; all are sure when one is gone."""
+        left = [(mechanisms[k - 10], sizes[k - 10] if len(columns) == 10 + len(sizes) else 9.0) for k in columns[10:]]
+        model = SimpleNamespace(coefficients=[SimpleNamespace(mechanism=mechanism) for mechanism, _ in left])
+        problem = SimpleNamespace(model=model, manifold=ParameterManifold(1, 0, np.ones(len(left))))
+        effects = [SimpleNamespace(value=-size, std=1.0) for _, size in left]
+        return _Solved(columns, SimpleNamespace(fitted=SimpleNamespace(problem=problem), effects=effects))
+
+    whole = np.arange(10 + len(sizes))
+    assert np.setdiff1d(whole, _significant(solve, whole, mechanisms).columns).tolist() == gone
+    np.testing.assert_array_equal(_significant(solve, whole, ()).columns, whole)
 
 
 def test_friction_that_noise_hides_is_not_known_to_be_nothing() -> None:

@@ -22,7 +22,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-from .arms import Case, arm, solved
+from .arms import Case, Truth, arm, efforts, solved
 from .test_fit import problem
 
 URDF, ALL = {"urdf": ELEMENTS["urdf"]}, {"all": ("urdf", "mjcf", "drake", "gazebo")}
@@ -166,6 +166,35 @@ def test_an_offset_does_not_stand_in_for_a_mass() -> None:
     assert np.all(np.abs(np.mean(predicted - measured, axis=0)) < 0.01 * weights)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_offset_of_a_spring_is_no_error_of_a_sensor(seed: int) -> None:
+    """A file without the spring holds the weight that motor and spring carry, as far as links can; one with it has
+    both."""
+    case = arm("arm3", seed, noise=0.05)
+    spring = 3.0 * (case.samples.position[:, 1] - 1.0)
+    pulled = case.with_efforts(case.samples.effort + np.outer(spring, [0.0, 1.0, 0.0]))
+    model = MeasurementModel(case.model.robot, case.effects, candidates=[identifiable()["spring"]])
+    found = solved(replace(pulled, model=model), files=URDF | {"mujoco": ELEMENTS["mujoco"]})
+    offsets = [30 + k for k, c in enumerate(model.coefficients) if c.effect.is_sensor_error]
+    np.testing.assert_allclose(found.within["mujoco"], found.parameters, rtol=1e-3)
+    alone = found.within["urdf"].copy()
+    alone[offsets] = 0.0
+    measured, predicted = model.predict(pulled.samples, alone)
+    left = np.sqrt(np.mean((measured - predicted) ** 2, axis=0))[1]
+    assert left < 0.7 * abs(found.parameters[offsets[1]])
+
+
+def test_an_error_of_a_sensor_is_significant_beside_a_file() -> None:
+    """Not in the estimate alone, whose rotors leave less unexplained at the last joint than a file without them."""
+    case = arm("arm3", 0)
+    small = Truth(case.true.links, {**case.true.effects, "effort_offset": np.full(3, 0.003)})
+    clean = efforts(case.model.robot, small, case.samples)
+    found = solved(case.with_efforts(clean + 1e-3 * np.random.default_rng(0).normal(size=clean.shape)), files=URDF)
+    offsets = [effect for effect in found.effects if effect.name == "effort_offset"]
+    assert all(offset.value > 10.0 * offset.std for offset in offsets)
+    np.testing.assert_array_equal(found.within["urdf"][_offsets(case)] == 0.0, [False, False, True])
+
+
 def _with(case: Case, motion: dict[str, FloatArray], effort: FloatArray | None = None) -> Samples:
     return replace(case.samples, **motion, effort=case.samples.effort if effort is None else effort)
 
@@ -206,13 +235,17 @@ def test_of_all_that_a_file_holds_the_rows_choose_anew() -> None:
 
     def fitted(columns: FloatArray, lacks_like_mass: bool) -> FloatArray:
         assert not lacks_like_mass, "no mass stands in for friction"
-        return np.ones(len(columns))
+        return _ones_at(columns, model)
 
     within = fit_files(model, chosen, files, none, choose, fitted)["mujoco"]
     held, begun = asked
     assert (held - begun, "stribeck_friction" in held) == ({"spring"}, False)
     springs = [k for k in range(first, model.dimension) if names[k - first + 1] == "spring"]
     np.testing.assert_array_equal(within[springs], 1.0)
+
+
+def _ones_at(columns: FloatArray, model: MeasurementModel) -> FloatArray:
+    return np.isin(np.arange(model.dimension), columns).astype(float)
 
 
 def test_files_that_are_asked_to_hold_the_same_are_fitted_once() -> None:
@@ -226,7 +259,7 @@ def test_files_that_are_asked_to_hold_the_same_are_fitted_once() -> None:
 
     def fitted(columns: FloatArray, _: bool) -> FloatArray:
         fits.append(columns)
-        return np.full(len(columns), float(len(fits)))
+        return len(fits) * _ones_at(columns, model)
 
     within = fit_files(model, chosen, files, none, lambda _, begun: begun, fitted)
     assert [len(fits), *(set(own.tolist()) for own in within.values())] == [2, {0.0, 1.0}, {0.0, 1.0}, {0.0, 2.0}]
