@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Protocol, TypeAlias
@@ -31,6 +31,10 @@ class JointColumn:
         """Return its values ``(N, J)``."""
         return self.function.column(motion)
 
+    def at_joints(self, motion: Motion) -> FloatArray | Sequence[FloatArray]:
+        """Return its values ``(N,)`` at each joint."""
+        return self.values(motion).T
+
 
 @dataclass(frozen=True)
 class PlacedColumn:
@@ -42,6 +46,10 @@ class PlacedColumn:
     def values(self, motion: Motion) -> FloatArray:
         """Return efforts ``(N, J)`` per unit of its coefficient."""
         return self.effect.efforts(motion, self.place)
+
+    def at_joints(self, motion: Motion) -> FloatArray | Sequence[FloatArray]:
+        """Return efforts ``(N,)`` at the joints that the effect affects."""
+        return self.effect.at_joints(motion, self.place)
 
 
 Column: TypeAlias = JointColumn | PlacedColumn
@@ -82,8 +90,10 @@ class Entries:
 
     def values(self, motion: Motion) -> FloatArray:
         """Compute the values ``(N, entries)`` for a motion of arrays ``(N, joints)``."""
-        values = [column.values(motion)[:, joints] for column, (_, joints) in self._spans.items()]
-        return np.concatenate([motion.position[:, :0], *values], axis=1)
+        values = np.empty((len(self), len(motion.position)))
+        for column, (entries, _) in self._spans.items():
+            values[entries] = column.at_joints(motion)
+        return values.T
 
     @cached_property
     def remembering(self) -> Mapping[type[JointEffect], list[JointEffect]]:

@@ -350,9 +350,9 @@ class MeasurementModel:
             loads, signs = self._loads(samples, bodies), samples.column(SIGN)
             for parameter, effect, joint in self._of_loads:
                 coefficients[:, joint, parameter] = effect.column(loads[:, joint], signs[:, joint])
-        for parameter, of_sensor, place, index in self._of_sensors:
-            for channel, column in self.columns_of(samples, of_sensor, place, index).items():
-                coefficients[:, channel, parameter] = column
+        for of_sensor, place, (parameters, indices) in self._of_sensors:
+            columns = of_sensor.columns(samples.motion, self._axes(place))[:, :, indices]
+            coefficients[:, np.array(self._reached(place))[:, None], parameters] = columns
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
@@ -391,9 +391,17 @@ class MeasurementModel:
         return [(p, c.effect, joint_of(c.place)) for p, c in self._numbered if isinstance(c.effect, LoadEffect)]
 
     @cached_property
-    def _of_sensors(self) -> list[tuple[int, SensorEffect, Place, int]]:
-        """Parameter, effect, place and index of each coefficient of a sensor's effect."""
-        return [(p, c.effect, c.place, c.index) for p, c in self._numbered if isinstance(c.effect, SensorEffect)]
+    def _of_sensors(self) -> list[tuple[SensorEffect, Place, IntArray]]:
+        """Each effect of a sensor, its place, and the parameters and indices of its coefficients ``(2, k)``."""
+        numbers: dict[tuple[SensorEffect, Place], list[tuple[int, int]]] = {}
+        for parameter, c in self._numbered:
+            if isinstance(c.effect, SensorEffect):
+                numbers.setdefault((c.effect, c.place), []).append((parameter, c.index))
+        return [(effect, place, np.array(pairs).T) for (effect, place), pairs in numbers.items()]
+
+    def _axes(self, place: Place) -> list[str]:
+        """Return the axes of a place at a sensor."""
+        return [self.channels[channel].axis for channel in self._reached(place)]
 
     @cached_property
     def _of_resistance(self) -> tuple[Entries, FloatArray]:
@@ -408,7 +416,7 @@ class MeasurementModel:
         if isinstance(effect, MotionEffect):
             efforts = samples.column(column_of(effect, place))
             return {channel: efforts[:, channel] for channel in channels}
-        columns = effect.columns(samples.motion, [self.channels[channel].axis for channel in channels])[:, :, index]
+        columns = effect.columns(samples.motion, self._axes(place))[:, :, index]
         return {channel: column for channel, column in zip(channels, columns.T, strict=True) if np.any(column)}
 
     def eliminate_ground(self, samples: Samples, columns: Iterable[dict[int, FloatArray]]) -> None:

@@ -133,7 +133,13 @@ class GridValues:
 
     def __init__(self) -> None:
         self.first = 0
-        self.values = np.zeros((0, 0))
+        self._buffer = np.zeros((0, 0))
+        self._span = slice(0, 0)  # of the values in the buffer, which has room for more
+
+    @property
+    def values(self) -> FloatArray:
+        """The vectors ``(N, ...)``."""
+        return np.asarray(self._buffer[self._span])
 
     @property
     def end(self) -> int:
@@ -142,9 +148,16 @@ class GridValues:
 
     def extend(self, start: int, values: FloatArray) -> None:
         """Append ``values (N, ...)`` from grid point ``start`` on: the :attr:`end`, unless there are no values yet."""
-        if not len(self.values):
-            self.first, self.values = start, values[:0]
-        self.values = np.concatenate([self.values, values])
+        kept = self.values
+        if not len(kept):
+            self.first, kept = start, values[:0]
+        end = self._span.stop + len(values)
+        if end > len(self._buffer):  # else only the new values are copied
+            end = len(kept) + len(values)
+            self._buffer = np.concatenate([kept, values, np.empty((end, *values.shape[1:]))])
+        else:
+            self._buffer[self._span.stop : end] = values
+        self._span = slice(end - len(kept) - len(values), end)
 
     def correlated(self, instants: range, kernels: FloatArray, columns: int | None = None) -> FloatArray:
         """Correlate with ``kernels (kernels, 2 half + 1)`` around each grid point.
@@ -174,5 +187,5 @@ class GridValues:
         """Discard older grid points."""
         surplus = instant - self.first
         if surplus > 0:
-            self.values = self.values[surplus:]
+            self._span = slice(min(self._span.start + surplus, self._span.stop), self._span.stop)
             self.first += surplus

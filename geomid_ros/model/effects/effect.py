@@ -335,8 +335,16 @@ class MotionEffect(Effect):
     """
 
     @abstractmethod
+    def at_joints(self, motion: Motion, place: Place) -> FloatArray | Sequence[FloatArray]:
+        """Return the efforts ``(...)`` of the joints that it affects per unit of the coefficient, each instant
+        independently."""
+
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
-        """Return efforts ``(..., J)`` per unit of the coefficient, each instant independently."""
+        """Return the efforts ``(..., J)`` of all joints per unit of the coefficient."""
+        efforts = np.zeros(motion.position.shape)
+        for joint, effort in zip(joints_of(place), self.at_joints(motion, place), strict=True):
+            efforts[..., joint] = effort
+        return efforts
 
     def efforts_not_in_mjcf(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:
         """Return all of its efforts, unless the MJCF contains the effect or it is not an effort, but a sensor error."""
@@ -358,12 +366,8 @@ class JointEffect(MotionEffect):
         J)``, from their states ``before (n, J)``."""
         return np.zeros((len(moved), *before.shape))
 
-    def efforts(self, motion: Motion, place: Place) -> FloatArray:
-        """Return efforts ``(..., J)`` per unit, nonzero at the one joint."""
-        joint = joint_of(place)
-        efforts = np.zeros(motion.position.shape)
-        efforts[..., joint] = self.column(motion.joints[joint])
-        return efforts
+    def at_joints(self, motion: Motion, place: Place) -> FloatArray | Sequence[FloatArray]:
+        return (self.column(motion.joints[joint_of(place)]),)
 
 
 class PairEffect(MotionEffect):
@@ -375,18 +379,22 @@ class PairEffect(MotionEffect):
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
         """Return efforts ``(...)`` of the two joints per unit of the coefficient, each instant independently."""
 
-    def efforts(self, motion: Motion, place: Place) -> FloatArray:
-        """Return efforts ``(..., J)`` per unit, nonzero at the two joints."""
+    def at_joints(self, motion: Motion, place: Place) -> FloatArray | Sequence[FloatArray]:
         first, second = joints_of(place)
-        efforts = np.zeros(motion.position.shape)
-        efforts[..., first], efforts[..., second] = self.columns(motion.joints[first], motion.joints[second])
-        return efforts
+        return self.columns(motion.joints[first], motion.joints[second])
 
 
 class RobotEffect(MotionEffect):
     """Function of all joints' motion, with one coefficient for the robot."""
 
-    place = "robot"
+    place: ClassVar[PlaceKind] = "robot"
+
+    @abstractmethod
+    def efforts(self, motion: Motion, place: Place) -> FloatArray:
+        """Return the efforts ``(..., J)`` of all joints per unit of the coefficient, each instant independently."""
+
+    def at_joints(self, motion: Motion, place: Place) -> FloatArray | Sequence[FloatArray]:
+        return np.moveaxis(self.efforts(motion, place), -1, 0)
 
 
 class SensorEffect(Effect):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import Effect, JointEffect, MotionEffect, SensorEffect, SituationEffect
+from geomid_ros.model.effects.effect import Effect, JointEffect, RobotEffect, SensorEffect, SituationEffect
 from geomid_ros.model.effects.parameters import EFFORT, ParameterForm, Quantities, Values
 from geomid_ros.model.effects.situation import JointMotion, Motion, Place, Situation, joint_of
 from geomid_ros.types import FloatArray
@@ -187,7 +187,7 @@ class ImuOffset(SensorEffect):
     count = len(parameters)
 
 
-class CommandDelay(MotionEffect):
+class CommandDelay(RobotEffect):
     """Commands act c [s] after their stamps, to first order in c: effort(t) = gains (command(t - c) - measured(t)).
 
     Its column is the rate of the commands in the samples; it does not follow from the motion.
