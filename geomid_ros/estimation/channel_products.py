@@ -218,18 +218,23 @@ class SelectedProducts(_Products):
 class ChannelSummary:
     """Rows of one channel: the factor ``(<= columns + 1, columns + 1)`` of ``[A b]``, and the sum of their weights.
 
-    ``time``: last time [s] at which the weights were updated. ``waiting``: rows that are not yet in the factor, with
-    their targets and times.
+    ``time``: last time [s] at which the weights were updated. ``waiting``: blocks ``(n, columns + 2)`` of rows ``[A b]``
+    that are not yet in the factor, each with its time [s].
     """
 
     factor: FloatArray
     count: float = 0.0
     time: float = 0.0
-    waiting: list[tuple[FloatArray, float, float]] = field(default_factory=list)
+    waiting: list[FloatArray] = field(default_factory=list)
 
     def copy(self) -> ChannelSummary:
         """Copy without waiting rows that later changes of this one do not affect; no array is ever changed in place."""
         return ChannelSummary(self.factor, self.count, self.time)
+
+    @property
+    def waiting_rows(self) -> int:
+        """Number of rows that are not yet in the factor."""
+        return sum(map(len, self.waiting))
 
     def absorb(self, count: int, now: float, forgetting_time: float) -> None:
         """Add the first ``count`` waiting rows to the factor. A row's weight at the time ``now`` [s] is
@@ -239,12 +244,11 @@ class ChannelSummary:
             self.factor = np.sqrt(remaining) * self.factor
             self.count *= remaining
         if count:
-            rows, targets, times = (np.array(values) for values in zip(*self.waiting[:count], strict=True))
-            weights = np.exp((times - now) / forgetting_time)
-            augmented = np.sqrt(weights)[:, None] * np.column_stack([rows, targets])
-            self.factor = triangular(np.concatenate([self.factor, augmented]))
+            rows, *rest = np.split(np.concatenate(self.waiting), [count])
+            weights = np.exp((rows[:, -1] - now) / forgetting_time)
+            self.factor = triangular(np.concatenate([self.factor, np.sqrt(weights)[:, None] * rows[:, :-1]]))
             self.count += float(np.sum(weights))
-            del self.waiting[:count]
+            self.waiting = rest
         self.time = now
 
 

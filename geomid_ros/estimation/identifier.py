@@ -152,7 +152,7 @@ class Identifier:
         with self._lock:
             self._begin_anew()
 
-    def add(self, samples: Samples, absent_columns: slice = slice(0)) -> tuple[IntArray, Rows, BoolArray]:
+    def add(self, samples: Samples, absent_columns: slice = slice(0)) -> tuple[BoolArray, Rows, BoolArray]:
         """Add samples, in the order of time.
 
         Args:
@@ -160,8 +160,9 @@ class Identifier:
             absent_columns: parameters of a body that the robot did not carry then.
 
         Returns:
-            Stamps ``(N,)`` and rows of the samples that are not standing still; and ``(N, channels)``, true for efforts
-            of joints that move slowly, at rest or near a reversal: dry friction may be below its full level there.
+            True for samples ``(N,)`` that are not standing still; their rows; and ``(n, channels)``, true for efforts
+            of their joints that move slowly, at rest or near a reversal: dry friction may be below its full level
+            there.
         """
         rows = self.model.rows(samples)
         rows.coefficients[:, :, absent_columns] = 0.0
@@ -189,7 +190,7 @@ class Identifier:
                     self._recent.append(BufferedSample(self.sample_count, *instant))
                     self.sample_count += 1
                 self._settle_before(self.sample_count - self._held)
-        return samples.stamps[moved], taken, motion_regimes > 0
+        return ~still, taken, motion_regimes > 0
 
     def _settle_before(self, number: float) -> None:
         settled = list[BufferedSample]()

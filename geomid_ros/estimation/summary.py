@@ -137,25 +137,22 @@ class RowSummary:
         for decay, rows in zip(np.exp(-elapsed / self._forgetting_time), np.sum(is_usable, axis=1), strict=True):
             self.weight = self.weight * float(decay) + int(rows)
         times = np.cumsum(np.append(self._time, elapsed))[1:]
+        in_group = np.concatenate([is_usable & (regimes == regime) for regime in range(REGIMES)], axis=1)
         begin = 0
         while begin < len(elapsed):
             self._time = float(times[begin])
             self.make_room(1)
             fold = self._summaries[self._instants // self._block]
             end = min(begin + self._block - self._instants % self._block, len(elapsed))
-            for index, group in enumerate(self.groups):
-                regime, channel = divmod(index, len(self.channels))
-                in_group = is_usable[begin:end, channel] & (regimes[begin:end, channel] == regime)
-                if not np.any(in_group):
-                    continue
-                chosen = begin + np.flatnonzero(in_group)
-                rows = coefficients[chosen[:, None], channel, group.columns]
-                waiting = fold[index].waiting
-                waiting += zip(rows, targets[chosen, channel].tolist(), times[chosen].tolist(), strict=True)
+            for index in np.flatnonzero(np.any(in_group[begin:end], axis=0)).tolist():
+                channel = index % len(self.channels)
+                chosen = begin + np.flatnonzero(in_group[begin:end, index])
+                rows = coefficients[chosen[:, None], channel, self.channels[channel].columns]
+                fold[index].waiting.append(np.column_stack([rows, targets[chosen, channel], times[chosen]]))
                 # Limits differ, or channels with equally many rows would all need a QR at the same sample.
                 limit = self._CHUNK + index
-                while len(waiting) >= limit:
-                    fold[index].absorb(limit, waiting[limit - 1][2], self._forgetting_time)
+                for rest in range(fold[index].waiting_rows - limit, -1, -limit):
+                    fold[index].absorb(limit, float(times[chosen[-1 - rest]]), self._forgetting_time)
                     self._factors = None
             self._instants += end - begin
             self._time = float(times[end - 1])
@@ -173,9 +170,9 @@ class RowSummary:
 
     def absorb_one(self) -> bool:
         """Absorb the waiting rows of one channel in one fold; False if there were none."""
-        part = next((part for fold in self._summaries for part in fold if part.waiting), None)
+        part = next((part for fold in self._summaries for part in fold if part.waiting_rows), None)
         if part is not None:
-            part.absorb(len(part.waiting), self._time, self._forgetting_time)
+            part.absorb(part.waiting_rows, self._time, self._forgetting_time)
             self._factors = None
         return part is not None
 
@@ -183,7 +180,7 @@ class RowSummary:
         """Summaries of all groups, per fold, including all rows added so far."""
         if not self._complete:
             for part in chain(*self._summaries):
-                part.absorb(len(part.waiting), self._time, self._forgetting_time)
+                part.absorb(part.waiting_rows, self._time, self._forgetting_time)
             self._complete, self._factors = True, None
         return self._summaries
 

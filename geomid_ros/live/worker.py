@@ -201,7 +201,7 @@ class Worker:
         estimate, payload, identifier = self.solver.estimate, self.solver.payload, self.session.identifier
         before = identifier.counts.made
         try:
-            stamps, rows, uncertain = identifier.add(samples)
+            moved, rows, uncertain = identifier.add(samples)
         except Exception as error:  # noqa: BLE001 the thread must survive
             lost = before + len(samples) * len(self.session.model.channels) - identifier.counts.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
@@ -213,9 +213,9 @@ class Worker:
             self.solver.begin_anew()
         settled = Rows(rows.coefficients, np.where(uncertain, np.nan, rows.targets))
         trusted = self._wrenches.without_doubtful(settled)
-        ends = identifier.sample_count - len(stamps) + np.cumsum(np.isin(samples.stamps, stamps))
-        self.solver.check_later(samples, ends)
-        if self.solver.detector.add(identifier.sample_count - len(stamps), stamps, trusted):
+        first = identifier.sample_count - len(rows.targets)
+        self.solver.check_later(samples, first + np.cumsum(moved))
+        if self.solver.detector.add(first, samples.stamps[moved], trusted):
             self.solver.request_change_search()
         if estimate is not None:
             with self.failures.counted("a prediction could not be published"):

@@ -74,7 +74,7 @@ class Entries:
     joints: int
 
     def __len__(self) -> int:
-        return sum(len(joints) for _, joints in self._spans.values())
+        return self._count
 
     def __contains__(self, column: Column) -> bool:
         return column in self._spans
@@ -103,6 +103,10 @@ class Entries:
             if isinstance(function, JointEffect) and function.depends_on_past:
                 by_class.setdefault(type(function), []).append(function)
         return by_class
+
+    @cached_property
+    def _count(self) -> int:
+        return sum(len(joints) for _, joints in self._spans.values())
 
     @cached_property
     def _spans(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:

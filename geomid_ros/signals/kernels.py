@@ -148,16 +148,14 @@ class GridValues:
 
     def extend(self, start: int, values: FloatArray) -> None:
         """Append ``values (N, ...)`` from grid point ``start`` on: the :attr:`end`, unless there are no values yet."""
-        kept = self.values
+        kept, end = self.values, self._span.stop
         if not len(kept):
             self.first, kept = start, values[:0]
-        end = self._span.stop + len(values)
-        if end > len(self._buffer):  # else only the new values are copied
-            end = len(kept) + len(values)
-            self._buffer = np.concatenate([kept, values, np.empty((end, *values.shape[1:]))])
-        else:
-            self._buffer[self._span.stop : end] = values
-        self._span = slice(end - len(kept) - len(values), end)
+        if end + len(values) >= len(self._buffer):  # make room for as many again
+            end = len(kept)
+            self._buffer = np.concatenate([kept, np.empty((end + 2 * len(values), *values.shape[1:]))])
+        self._buffer[end : end + len(values)] = values
+        self._span = slice(end - len(kept), end + len(values))
 
     def correlated(self, instants: range, kernels: FloatArray, columns: int | None = None) -> FloatArray:
         """Correlate with ``kernels (kernels, 2 half + 1)`` around each grid point.

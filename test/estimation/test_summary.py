@@ -177,7 +177,7 @@ def test_memory_is_bounded() -> None:
     for _ in range(3):
         for one in map(slice, range(400), range(1, 401)):
             found.add(coefficients[one], targets[one])
-            most = max(most, sum(len(part.waiting) for fold in found._summaries for part in fold))
+            most = max(most, sum(part.waiting_rows for fold in found._summaries for part in fold))
     assert most < 2 * len(CHANNELS) * RowSummary._CHUNK
     for channel, parts in zip(found.groups, found.parts(), strict=True):
         for part in parts:
@@ -228,7 +228,7 @@ def test_what_waits_is_absorbed_channel_by_channel_without_changing_anything() -
     while pending.absorb_one():
         steps += 1
     assert steps == 3 * 5, "three channels are measured, in five of the folds"
-    assert not any(part.waiting for fold in pending._summaries for part in fold)
+    assert not any(part.waiting_rows for fold in pending._summaries for part in fold)
     np.testing.assert_allclose(content(pending, x), expected, rtol=CONTENT)
 
 
