@@ -99,22 +99,29 @@ class EffortPredictor:
         latest, last = self._last
         if last.shape[1] != numbers.shape[2]:
             latest, last = -model.memory, np.zeros((3, numbers.shape[2]))
-        motions = []
-        for stamp, (position, velocity, _) in zip(stamps.tolist(), numbers, strict=True):
-            motion, step, unknown = np.array([position, velocity, last[2]]), stamp - latest, np.isnan(velocity)
-            if -model.memory < step <= 0:  # repeated and out of order: no information on accelerations
-                motion[1, unknown] = last[1, unknown]
-            else:
-                seconds = 1e-9 * step if 0 < step < model.memory else math.inf
-                moved = position - last[0]
-                turned = np.remainder(moved + np.pi, 2.0 * np.pi) - np.pi
-                motion[1, unknown] = (np.where(model.turning, turned, moved) / seconds)[unknown]
-                increment = (motion[1] - last[1]) / seconds - last[2]
-                motion[2] = last[2] - math.expm1(-seconds / model.time_constant) * increment
-                latest, last = stamp, motion
-            motions.append(motion)
-        self._last = latest, last
-        return np.stack(motions, axis=1)
+        place, before, steps, new = 0, list[int](), list[float](), list[bool]()
+        for following, stamp in enumerate(stamps.tolist(), 1):
+            step = stamp - latest
+            before.append(place)
+            steps.append(1e-9 * step if 0 < step < model.memory else math.inf)
+            new.append(not -model.memory < step <= 0)
+            if new[-1]:
+                place, latest = following, stamp
+        motion = np.concatenate([last[:, None], np.moveaxis(numbers, 1, 0)], axis=1)
+        position, velocity, acceleration = motion
+        seconds, is_new, unknown = np.array(steps)[:, None], np.array(new)[:, None], np.isnan(velocity[1:])
+        if unknown.any():
+            moved = position[1:] - position[before]
+            turned = np.remainder(moved + np.pi, 2.0 * np.pi) - np.pi
+            velocity[1:][unknown] = (np.where(model.turning, turned, moved) / seconds)[unknown]
+            velocity[1:] = np.where(unknown & ~is_new, velocity[before], velocity[1:])
+        # Repeated messages, and those out of order, have no information on accelerations.
+        gains = np.where(is_new, -np.expm1(-seconds / model.time_constant), 0.0)
+        rates = (velocity[1:] - velocity[before]) / seconds
+        for following, (earlier, gain, rate) in enumerate(zip(before, gains, rates, strict=True), 1):
+            acceleration[following] = acceleration[earlier] + gain * (rate - acceleration[earlier])
+        self._last = latest, motion[:, place].copy()
+        return motion[:, 1:]
 
 
 def _obstacle(session: Session) -> str:

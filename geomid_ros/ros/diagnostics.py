@@ -155,7 +155,8 @@ _MANY = 10  # messages without an accepted one, which is no accident
 def _stream(status: Status) -> dict[str, object]:
     values: dict[str, object] = {"active": status.active, "lag": status.lag, "queue": status.queue}
     if seconds := status.receipt_to_row:  # from a message's receipt to the rows that it completed
-        values |= {f"receipt to row {name} [ms]": 1e3 * np.quantile(seconds, q) for name, q in _QUANTILES.items()}
+        quantiles = 1e3 * np.quantile(seconds, [*_QUANTILES.values()])
+        values |= {f"receipt to row {name} [ms]": q for name, q in zip(_QUANTILES, quantiles.tolist(), strict=True)}
     values |= {"solves": status.solves, "rows": status.rows, "rows made": status.rows_made}
     for topic, account in status.accounts.items():
         values |= {f"{topic} received": account.received, f"{topic} accepted": account.accepted}
