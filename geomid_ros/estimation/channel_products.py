@@ -218,8 +218,8 @@ class SelectedProducts(_Products):
 class ChannelSummary:
     """Rows of one channel: the factor ``(<= columns + 1, columns + 1)`` of ``[A b]``, and the sum of their weights.
 
-    ``time``: last time [s] at which the weights were updated. ``waiting``: blocks ``(n, columns + 2)`` of rows ``[A b]``
-    that are not yet in the factor, each with its time [s].
+    ``time``: last time [s] at which the weights were updated. ``waiting``: blocks ``(n, columns + 2)`` of rows that are
+    not yet in the factor: ``[A b]``, and each row's time [s].
     """
 
     factor: FloatArray
@@ -228,8 +228,8 @@ class ChannelSummary:
     waiting: list[FloatArray] = field(default_factory=list)
 
     def copy(self) -> ChannelSummary:
-        """Copy without waiting rows that later changes of this one do not affect; no array is ever changed in place."""
-        return ChannelSummary(self.factor, self.count, self.time)
+        """Copy that later changes of this one do not affect; no array is ever changed in place."""
+        return ChannelSummary(self.factor, self.count, self.time, [*self.waiting])
 
     @property
     def waiting_rows(self) -> int:

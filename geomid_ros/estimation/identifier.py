@@ -270,23 +270,14 @@ class Identifier:
 
     def snapshot(self) -> RowSummary:
         """Copy of all rows so far that are not left out."""
-        self._absorb()
         with self._lock:
             buffered = self._recent.instants
             self._summary.make_room(len(buffered))  # once, and not in every copy
             settled = self._summary.snapshot()
         return _with(settled, buffered)
 
-    def _absorb(self) -> None:
-        """Absorb waiting rows, releasing the lock between channels: a thread that adds meanwhile hardly waits."""
-        for _ in range(self._summary.folds * len(self._summary.groups)):
-            with self._lock:
-                if not self._summary.absorb_one():
-                    break
-
     def memory(self) -> Memory:
         """Copy of the state for :meth:`restore`."""
-        self._absorb()
         with self._lock:
             settled, buffered = self._summary.snapshot(), self._recent.instants
             rejected, pose, stamp = self._rejected + self._recent.rejected, self._last_pose, self._last_stamp

@@ -8,7 +8,9 @@ less is known of its dry friction. With C channels, group ``C r + c`` is channel
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import chain, cycle
 
@@ -73,7 +75,7 @@ class RowSummary:
     """
 
     # Rows wait until there are this many: one QR of many rows costs less than one QR per row.
-    _CHUNK = 128
+    _most_waiting = 128
 
     def __init__(
         self,
@@ -150,7 +152,7 @@ class RowSummary:
                 rows = coefficients[chosen[:, None], channel, self.channels[channel].columns]
                 fold[index].waiting.append(np.column_stack([rows, targets[chosen, channel], times[chosen]]))
                 # Limits differ, or channels with equally many rows would all need a QR at the same sample.
-                limit = self._CHUNK + index
+                limit = self._most_waiting + index
                 for rest in range(fold[index].waiting_rows - limit, -1, -limit):
                     fold[index].absorb(limit, float(times[chosen[-1 - rest]]), self._forgetting_time)
                     self._factors = None
@@ -167,14 +169,6 @@ class RowSummary:
             self._summaries = [*merged, *self._empty(self.folds // 2)]
             self._block *= 2
             self._complete = False
-
-    def absorb_one(self) -> bool:
-        """Absorb the waiting rows of one channel in one fold; False if there were none."""
-        part = next((part for fold in self._summaries for part in fold if part.waiting_rows), None)
-        if part is not None:
-            part.absorb(part.waiting_rows, self._time, self._forgetting_time)
-            self._factors = None
-        return part is not None
 
     def _complete_summaries(self) -> list[list[ChannelSummary]]:
         """Summaries of all groups, per fold, including all rows added so far."""
@@ -247,15 +241,18 @@ class RowSummary:
         return copy
 
     def snapshot(self) -> RowSummary:
-        """Copy that later additions do not change."""
-        return self._copy(self.channels)
+        """Copy that later additions do not change. Its rows wait until they are asked for, also those added to it."""
+        snapshot: RowSummary = copy(self)
+        snapshot._most_waiting = sys.maxsize
+        snapshot._summaries = [[part.copy() for part in fold] for fold in self._summaries]
+        return snapshot
 
     def _copy(self, channels: Sequence[Channel]) -> RowSummary:
-        copy = RowSummary(channels, self.folds, self._block, self._forgetting_time, self._apart)
-        copy._instants, copy._time = self._instants, self._time
-        copy.rows, copy.weight, copy.visited = self.rows, self.weight, self.visited
-        copy._summaries = [[part.copy() for part in fold] for fold in self._complete_summaries()]
-        return copy
+        """Copy of all rows added so far, to be changed."""
+        self._complete_summaries()
+        changed: RowSummary = self.snapshot()
+        changed.channels, changed._factors = tuple(channels), None
+        return changed
 
     def state(self) -> SummaryState:
         """State, including all rows added so far."""

@@ -178,7 +178,7 @@ def test_memory_is_bounded() -> None:
         for one in map(slice, range(400), range(1, 401)):
             found.add(coefficients[one], targets[one])
             most = max(most, sum(part.waiting_rows for fold in found._summaries for part in fold))
-    assert most < 2 * len(CHANNELS) * RowSummary._CHUNK
+    assert most < 2 * len(CHANNELS) * RowSummary._most_waiting
     for channel, parts in zip(found.groups, found.parts(), strict=True):
         for part in parts:
             columns = len(channel.columns) + 1
@@ -219,17 +219,19 @@ def test_parameters_that_are_left_out_are_zero(count: int) -> None:
         np.testing.assert_allclose(content(part, x[chosen]), content(whole, x), rtol=CONTENT)
 
 
-def test_what_waits_is_absorbed_channel_by_channel_without_changing_anything() -> None:
-    coefficients, targets = rows(5, 90)
-    found, x = summary(coefficients, targets, block=20, forgetting_time=50.0), np.ones(DIMENSION)
-    expected = content(found.snapshot(), x)
-    pending = summary(coefficients, targets, block=20, forgetting_time=50.0)
-    steps = 0
-    while pending.absorb_one():
-        steps += 1
-    assert steps == 3 * 5, "three channels are measured, in five of the folds"
-    assert not any(part.waiting_rows for fold in pending._summaries for part in fold)
-    np.testing.assert_allclose(content(pending, x), expected, rtol=CONTENT)
+def test_a_snapshot_leaves_to_its_reader_what_waits() -> None:
+    """Also rows that are added to it: whoever solves decomposes them, not the thread that must not wait."""
+    found, x = summary(*rows(5, 90), block=1000, forgetting_time=50.0), np.ones(DIMENSION)
+
+    def waiting(of: RowSummary) -> int:
+        return sum(part.waiting_rows for fold in of._summaries for part in fold)
+
+    before, copy = waiting(found), found.snapshot()
+    assert waiting(copy) == before > 0
+    copy.add(*rows(6, 400))
+    assert waiting(copy) == before + copy.rows - found.rows
+    content(copy, x)
+    assert (waiting(copy), waiting(found)) == (0, before)
 
 
 def test_a_fold_that_lacks_a_group_is_refused() -> None:
