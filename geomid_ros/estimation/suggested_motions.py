@@ -85,15 +85,14 @@ def _candidate_motions(model: MeasurementModel, estimate: Estimate) -> Iterator[
 
 def _rows(model: MeasurementModel, samples: Samples, estimate: Estimate) -> FloatArray:
     """Rows ``(<= 10 links, 10 links)`` of standard deviation 1, with the effects eliminated."""
-    measured = np.isfinite(estimate.sigmas)
-    scaled = model.rows(samples).coefficients[:, measured] / estimate.sigmas[measured, None]
-    rows = np.sqrt(_AVERAGED) * scaled.reshape(-1, model.dimension)
-    first = 10 * len(estimate.links)
-    effects = first + np.flatnonzero(estimate.parameters[first:])
-    effects_first = np.concatenate([rows[:, effects], rows[:, :first]], axis=1)
-    return triangular(np.concatenate([effects_first, np.zeros((effects_first.shape[1], effects_first.shape[1]))]))[
-        len(effects) :, len(effects) :
-    ]
+    first, measured = 10 * len(estimate.links), np.isfinite(estimate.sigmas)
+    (effects,) = np.nonzero(estimate.parameters[first:])
+    used = model.with_coefficients(effects.tolist())
+    scaled = used.rows(samples).coefficients[:, measured] / estimate.sigmas[measured, None]
+    rows = np.sqrt(_AVERAGED) * scaled.reshape(-1, used.dimension)
+    effects_first = np.concatenate([rows[:, first:], rows[:, :first]], axis=1)
+    padding = np.zeros((used.dimension, used.dimension))
+    return triangular(np.concatenate([effects_first, padding]))[len(effects) :, len(effects) :]
 
 
 def instants(model: MeasurementModel, *, moving: bool) -> Samples:

@@ -452,10 +452,12 @@ class MeasurementModel:
         vectors ``(D, K)``, predictions are ``(N, channels, K)``. ``drive_gains (channels,)`` or ``(channels, K)``:
         further factors of the identified links' efforts."""
         first = 10 * len(self.identified)
+        (used,) = np.nonzero(np.any(np.atleast_2d(parameters.T), axis=0)[first:])
+        model, parameters = self.with_coefficients(used.tolist()), parameters[[*range(first), *(first + used)]]
         # Rows are many times as large as their samples, so they are not computed all at once.
         measured, predicted = [], []
         for piece in samples.in_pieces():
-            rows = self.rows(piece)
+            rows = model.rows(piece)
             measured.append(rows.targets)
             predicted.append(rows.coefficients @ parameters)
             if drive_gains is not None:

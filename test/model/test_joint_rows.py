@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
-from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 from .robots import GRAVITY, Reference, random_parameters, random_samples, urdf, with_values
@@ -136,6 +137,24 @@ def test_a_continuous_joint_may_turn_for_ever() -> None:
     assert np.count_nonzero(turns) == 3
     turned = with_values(samples, position=samples.position - 3.0 * turns)
     assert_equal(model.rows(turned).coefficients, model.rows(samples).coefficients)
+
+
+def test_a_prediction_computes_no_columns_of_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = Robot(urdf("panda.urdf"))
+    model = MeasurementModel(robot, [identified_effect(name) for name in DEFAULT_EFFECTS])
+    samples, parameters = random_samples(robot, seed=8), model.nominal_parameters
+    parameters[-1] = 2.0
+    several = np.stack([parameters, model.nominal_parameters], axis=1)
+    expected, computed, rows = model.rows(samples).coefficients @ several, [], MeasurementModel.rows
+
+    def counted(self: MeasurementModel, samples: Samples) -> Rows:
+        computed.append(self.dimension)
+        return rows(self, samples)
+
+    monkeypatch.setattr(MeasurementModel, "rows", counted)
+    assert_equal(model.predict(samples, several)[1], expected)
+    assert_equal(model.predict(samples, parameters)[1], expected[..., 0])
+    assert computed == 2 * [10 * len(model.body_names) + 1]
 
 
 def test_links_that_are_not_identified_keep_their_share() -> None:
