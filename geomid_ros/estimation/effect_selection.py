@@ -39,6 +39,7 @@ from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.tolerances import SHORTLIST
 from geomid_ros.estimation.trials import Trial, Trials
 from geomid_ros.estimation.uncertainty import fold_at
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.coefficients import Coefficient, Mechanism
 from geomid_ros.model.effects import joints_of
@@ -265,7 +266,7 @@ def _steps(fit: Fit, products: FloatArray, first: FloatArray | None = None) -> F
         fold = fold_at(fit.problem.manifold, fit.search_point, fold_products)
         others = fit.information / fit.problem.independent_fraction - fold.information
         slopes = fold.gradient[rest] - others[rest, given] @ known
-        steps.append(np.append(known, np.linalg.solve(others[rest, rest], slopes)))
+        steps.append(np.append(known, spd.solve_or_least_squares(others[rest, rest], slopes)))
     return np.array(steps)
 
 

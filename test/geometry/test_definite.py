@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 import pytest
@@ -45,9 +46,18 @@ def of_limbs(size: int) -> FloatArray:
     return matrix + size * np.eye(size)
 
 
+def of_stretches(size: int) -> FloatArray:
+    """One whose last unknown has rows with every other eight of the others, which have none together."""
+    matrix = size * np.eye(size)
+    felt = np.flatnonzero(np.arange(size - 1) // 8 % 2 == 0)
+    matrix[-1, felt] = matrix[felt, -1] = 1.0
+    return matrix
+
+
 @pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("of", [of_size, of_limbs])
-@pytest.mark.parametrize("size", [1, 2, 7, 60])
+@pytest.mark.parametrize(
+    ("of", "size"), [*product([of_size, of_limbs], [1, 2, 7, 60]), (of_stretches, 60), (of_stretches, 600)]
+)
 def test_steps_and_variances_are_those_of_the_dense_inverse(
     of: Callable[[int], FloatArray], size: int, compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -406,7 +406,26 @@ INLINE void less(double *restrict onto, const double *restrict taken, double tim
     for (int k = 0; k < count; k++) onto[k] -= times * taken[k];
 }
 
-enum { TOGETHER = 4 }; /* rows eliminated at once */
+enum {
+    TOGETHER = 4, /* rows eliminated at once */
+    STRETCHES = 32,
+};
+
+/* Find at most STRETCHES of columns before `size`, from each `begin` to its `end`, outside of which `count` rows are
+ * zero; return how many there are. */
+INLINE int stretches(const double *const *rows, int count, int size, int *begin, int *end) {
+    int found = 0;
+    for (int first = 0; first < size; first += LANES) {
+        const int last = first + LANES < size ? first + LANES : size;
+        int used = 0;
+        for (int row = 0; row < count; row++)
+            for (int j = first; j < last; j++) used |= rows[row][j] != 0.0;
+        if (!used) continue;
+        if (!found || (end[found - 1] < first && found < STRETCHES)) begin[found++] = first;
+        end[found - 1] = last;
+    }
+    return found;
+}
 
 /* Overwrite `matrix` by the lower triangle L (size, size) with L^T L = `matrix`; return 0 if not positive definite.
  *
@@ -416,25 +435,28 @@ INLINE int factored(double *matrix, int size) {
     for (int end = size; end > 0; end -= TOGETHER) {
         const int begin = end > TOGETHER ? end - TOGETHER : 0;
         const double *rows[TOGETHER] = {matrix};
-        int first = begin;
+        int from[STRETCHES], to[STRETCHES];
         for (int k = end - 1; k >= begin; k--) {
             double *row = matrix + (long)k * size;
             if (!(row[k] > 0.0)) return 0;
             const double inverse = 1.0 / sqrt(row[k]);
             for (int j = 0; j <= k; j++) row[j] *= inverse;
             for (int i = begin; i < k; i++) less(matrix + (long)i * size, row, row[i], i + 1);
-            for (int j = 0; j < first; j++)
-                if (row[j] != 0.0) first = j;
             rows[end - 1 - k] = row;
         }
         for (int k = end - begin; k < TOGETHER; k++) rows[k] = rows[0];
-        for (int i = first; i < begin; i++) {
-            const double p = rows[0][i], q = rows[1][i], r = rows[2][i], s = rows[3][i];
-            if (p == 0.0 && q == 0.0 && r == 0.0 && s == 0.0) continue;
-            double *restrict onto = matrix + (long)i * size;
-            for (int j = first; j <= i; j++)
-                onto[j] -= p * rows[0][j] + q * rows[1][j] + r * rows[2][j] + s * rows[3][j];
-        }
+        const int count = stretches(rows, TOGETHER, begin, from, to);
+        for (int those = 0; those < count; those++)
+            for (int i = from[those]; i < to[those]; i++) {
+                const double p = rows[0][i], q = rows[1][i], r = rows[2][i], s = rows[3][i];
+                if (p == 0.0 && q == 0.0 && r == 0.0 && s == 0.0) continue;
+                double *restrict onto = matrix + (long)i * size;
+                for (int these = 0; these <= those; these++) {
+                    const int last = these < those ? to[these] : i + 1;
+                    for (int j = from[these]; j < last; j++)
+                        onto[j] -= p * rows[0][j] + q * rows[1][j] + r * rows[2][j] + s * rows[3][j];
+                }
+            }
     }
     return 1;
 }
@@ -476,9 +498,17 @@ FOR_EACH_PROCESSOR static int roots(double *lower, int size, int count, double *
     *volume = 0.0;
     for (int k = 0; k < size; k++) *volume += 2.0 * log(lower[(long)k * size + k]);
     memset(result, 0, sizeof(double) * count * size);
-    for (int k = 0; k < count; k++) {
-        result[(long)k * size + k] = 1.0;
-        backward(lower, size, k + 1, result + (long)k * size);
+    for (int k = 0; k < count; k++) result[(long)k * size + k] = 1.0;
+    for (int k = count - 1; k >= 0; k--) {
+        const double *row = lower + (long)k * size;
+        int from[STRETCHES], to[STRETCHES];
+        const int some = stretches(&row, 1, k, from, to);
+        for (int i = k; i < count; i++) {
+            double *x = result + (long)i * size;
+            if (x[k] == 0.0) continue;
+            x[k] /= row[k];
+            for (int at = 0; at < some; at++) less(x + from[at], row + from[at], x[k], to[at] - from[at]);
+        }
     }
     return 1;
 }
