@@ -70,7 +70,8 @@ def fit_drive_gains(fitted: Fit, point: Point, found: Uncertainty) -> DriveGains
     prior = problem.independent_fraction * objective.prior_weights[effects]
     covariance = spd.inverse(information[:, effects] + np.diag(prior))
     by_links = covariance @ information[:, links]
-    variances = np.diag(covariance + by_links @ found.covariance[links, links] @ by_links.T)
+    of_links = np.sum((by_links @ found.covariance[links, links]) * by_links, axis=1)
+    variances = np.diag(covariance) + np.maximum(of_links, 0.0)  # rounding may make it negative
     size = problem.manifold.dimension
     stds = objective.manifold.scales[len(problem.manifold.scales) :] * np.sqrt(variances[size - links.stop :])
     reals, errors = np.split(minimum.reals, [len(point.reals)])

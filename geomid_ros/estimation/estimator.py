@@ -349,20 +349,22 @@ def _minimum(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole:
         filtered_fraction(summary, settings.cutoff, per_period)
         for per_period in (WHITE_ROWS_PER_PERIOD, INDEPENDENT_ROWS_PER_PERIOD)
     )
-    folds = [uncertainty.fold_at(manifold, solution.point, products) for products in fitted.fold_products]
+    folds = uncertainty.Folds([uncertainty.fold_at(manifold, solution.point, each) for each in fitted.fold_products])
+    known_fold = _known_at(manifold, solution.point, known)
+    expected = _information_at(manifold, solution.point, known.rows[len(known.masses) :])
     assumed = fitted.assumed_prior_stds
 
     def errors_for(prior_stds: FloatArray) -> uncertainty.Uncertainty:
         return uncertainty.estimate_uncertainty(
             folds,
-            _known_at(manifold, solution.point, known),
+            known_fold,
             1.0 / problem.independent_fraction,
             prior_weights * (assumed / prior_stds) ** 2,
             manifold.log(solution.point, problem.prior_point),
             _parameter_groups(problem),
             least_inflation=1.0 / white * independent / problem.independent_fraction,
             assumed_prior_stds=prior_stds,
-            expected=_information_at(manifold, solution.point, known.rows[len(known.masses) :]),
+            expected=expected,
         )
 
     errors, steps = errors_for(assumed), _grid_steps(columns, whole, fitted, solution.point)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -37,6 +38,32 @@ class Fold:
 
     gradient: FloatArray
     information: FloatArray
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """Matrix that times its transpose is the information; eigenvalues that rounding made negative are zero."""
+        values, vectors = np.linalg.eigh(self.information)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Folds:
+    """All measured rows by blocks of time, ``parts``, in their order; at least one."""
+
+    parts: Sequence[Fold]
+
+    @cached_property
+    def total(self) -> Fold:
+        """All rows."""
+        return _sum(self.parts)
+
+    @cached_property
+    def blocks(self) -> list[list[Fold]]:
+        """The rows by blocks of each of the :data:`_FOLDS_OF_BLOCKS`."""
+        return [
+            [_sum(self.parts[first : first + count]) for first in range(0, len(self.parts), count)]
+            for count in _FOLDS_OF_BLOCKS
+        ]
 
 
 def fold_at(manifold: ParameterManifold, point: Point, products: FloatArray) -> Fold:
@@ -122,7 +149,7 @@ class Uncertainty:
 
 
 def estimate_uncertainty(
-    folds: Sequence[Fold],
+    folds: Folds,
     known: Fold,
     trust: float,
     prior_weights: FloatArray,
@@ -140,7 +167,7 @@ def estimate_uncertainty(
     blocks of time and a few links determine both only roughly, so each is bounded below by what is known otherwise.
 
     Args:
-        folds: The measured rows by blocks of time.
+        folds: The measured rows.
         known: Rows whose errors are independent and of known size.
         trust: Weight of the known rows in the objective.
         prior_weights: Factors ``(D,)`` of the squared distance to the prior.
@@ -151,31 +178,30 @@ def estimate_uncertainty(
         expected: Information ``(D, D)`` of those known rows that belong to the prior.
     """
     weights = np.maximum(prior_weights, np.finfo(float).tiny)
-    measured = _sum(folds, len(weights))
+    measured = folds.total
     information = measured.information + trust * known.information
     inverse = information_inverse(information, weights)
-    blocks = [_together(folds, count) for count in _FOLDS_OF_BLOCKS]
-    inflations = [variance_inflation(block, information, inverse, weights, groups, least_inflation) for block in blocks]
+    independent = inverse @ measured.information @ inverse
+    inflations = [
+        variance_inflation(block, information, independent, weights, groups, least_inflation) for block in folds.blocks
+    ]
     factors = np.max(inflations, axis=0)
     share = 1.0 / float(np.mean(factors))
-    independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
-    stds = np.maximum(estimated_prior_stds(independent, from_prior, groups), assumed_prior_stds)
-    parts = measured.information, trust, known.information
-    noise, inherited = error_covariance(inverse, *parts, factors, weights * stds)
+    rows = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
+    stds = np.maximum(estimated_prior_stds(rows, from_prior, groups), assumed_prior_stds)
+    noise, inherited = error_covariance(inverse, measured.root, trust, known.root, factors, weights * stds)
     covariance = noise + inherited
     prior = information_inverse(np.zeros_like(covariance) + expected, stds**-2.0)
     by_rows = np.maximum(1.0 / np.diag(inverse) - weights, 0.0) / factors
     return Uncertainty(covariance, inherited, prior, share, by_rows, inverse)
 
 
-def _together(folds: Sequence[Fold], count: int) -> list[Fold]:
-    """Merge blocks of ``count`` consecutive folds."""
-    return [_sum(folds[first : first + count], len(folds[0].gradient)) for first in range(0, len(folds), count)]
-
-
-def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
-    gradient = sum((fold.gradient for fold in folds), np.zeros(dimension))
-    return Fold(gradient, sum((fold.information for fold in folds), np.zeros((dimension, dimension))))
+def _sum(folds: Sequence[Fold]) -> Fold:
+    gradient, information = folds[0].gradient.copy(), folds[0].information.copy()
+    for fold in folds[1:]:
+        gradient += fold.gradient
+        information += fold.information
+    return Fold(gradient, information)
 
 
 def error_covariance(
@@ -187,14 +213,14 @@ def error_covariance(
 
     Args:
         inverse: ``(D, D)`` of H, which is ``measured + trust known + W``.
-        measured, known: Information ``(D, D)`` of the rows. The noise of the measured rows has the covariance
-            ``measured``, enlarged by ``factors``.
+        measured, known: Roots ``(D, n)`` of the rows' information, which times their transpose are it. The noise of the
+            measured rows has their information as covariance, enlarged by ``factors``.
         trust: Weight of the known rows.
         factors: Variance inflation ``(D,)``.
         pulls: Standard deviations ``(D,)`` of the prior's error, times the prior's weights, the diagonal of W.
     """
-    row_root = np.sqrt(factors)[:, None] * (inverse @ _root(measured))
-    known_root = trust * (inverse @ _root(known))
+    row_root = np.sqrt(factors)[:, None] * (inverse @ measured)
+    known_root = trust * (inverse @ known)
     prior_root = inverse * pulls
     return row_root @ row_root.T + known_root @ known_root.T, prior_root @ prior_root.T
 
@@ -205,26 +231,12 @@ def with_enlarged_prior(covariance: FloatArray, inherited: FloatArray) -> FloatA
     return covariance + (_DOUBT**2 - 1.0) * inherited
 
 
-def _root(information: FloatArray) -> FloatArray:
-    """Matrix that times its transpose is ``information``; eigenvalues that rounding made negative are zero."""
-    values, vectors = np.linalg.eigh(information)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
 def information_inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
     """``(information + W)^-1`` for any weights above zero: rounding cannot make it indefinite."""
     units = np.sqrt(weights)
     values, vectors = np.linalg.eigh(information / np.outer(units, units))
     vectors = vectors / units[:, None]
     return np.asarray((vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T)
-
-
-def _solved(information: FloatArray, weights: FloatArray, gradient: FloatArray) -> FloatArray:
-    """``(information + W)^-1 gradient``; like :func:`information_inverse`, valid for any weights above zero."""
-    units = np.sqrt(weights)
-    scaled = information / np.outer(units, units)
-    np.fill_diagonal(scaled, np.diag(scaled) + _prior_part(scaled))
-    return np.asarray(spd.solve_or_least_squares(scaled, gradient / units) / units)
 
 
 def _prior_part(scaled: FloatArray) -> float:
@@ -236,7 +248,7 @@ def _prior_part(scaled: FloatArray) -> float:
 def variance_inflation(
     folds: Sequence[Fold],
     information: FloatArray,
-    inverse: FloatArray,
+    independent: FloatArray,
     weights: FloatArray,
     groups: Sequence[ParameterGroup],
     least: float = 1.0,
@@ -246,22 +258,25 @@ def variance_inflation(
     The variance is the jackknife's: each fold in turn is left out, and how far the estimate moves shows the effect of
     correlations inside a fold (Efron 1982). There are only a few folds, so the ratio to the variance for independent
     residuals is averaged over all directions of a group. Groups differ: slowly changing noise is mistaken for an
-    offset, but hardly for friction.
+    offset, but hardly for friction. ``independent (D, D)``: covariance of the error for independent residuals.
     """
     result = np.full(len(weights), least)
     if len(folds) < 2:
         return result
-    measured = _sum(folds, len(weights)).information
-    moves = np.array([_solved(information - fold.information, weights, fold.gradient) for fold in folds])
-    moves = np.sqrt(1.0 - 1.0 / len(folds)) * (moves - np.mean(moves, axis=0))
-    independent = inverse @ measured @ inverse
+    prior_stds, moves = weights**-0.5, []
+    units = np.outer(prior_stds, prior_stds)
+    for fold in folds:
+        scaled = (information - fold.information) * units
+        np.fill_diagonal(scaled, np.diag(scaled) + _prior_part(scaled))
+        moves.append(prior_stds * spd.solve_or_least_squares(scaled, prior_stds * fold.gradient))
+    shifts = np.sqrt(1.0 - 1.0 / len(folds)) * (moves - np.mean(moves, axis=0))
     for group in groups:
         block = independent[np.ix_(group.columns, group.columns)]
         floor = _FLOOR * np.trace(block)
         if floor > 0.0:
             damped = np.linalg.inv(block + floor * np.eye(len(block)))
-            shifts = moves[:, group.columns]
-            result[group.columns] = max(least, float(np.sum((shifts @ damped) * shifts) / np.sum(damped * block)))
+            moved = shifts[:, group.columns]
+            result[group.columns] = max(least, float(np.sum((moved @ damped) * moved) / np.sum(damped * block)))
     return result
 
 
@@ -283,12 +298,12 @@ def estimated_prior_stds(rows: Fold, from_prior: FloatArray, groups: Sequence[Pa
         parameter_stds = np.exp(log_stds)[member]
         scaled = np.outer(parameter_stds, parameter_stds) * rows.information
         prior_part = _prior_part(scaled)
-        posterior = spd.inverse(scaled + prior_part * np.eye(len(parameter_stds)))
+        root = spd.roots(scaled + prior_part * np.eye(len(parameter_stds)), len(parameter_stds))
         # Not as information times distance, of which rounding would leave little.
         moved = from_prior - parameter_stds * (
-            posterior @ (prior_part * from_prior / parameter_stds - parameter_stds * rows.gradient)
+            root @ ((prior_part * from_prior / parameter_stds - parameter_stds * rows.gradient) @ root)
         )
-        determined = np.clip(1.0 - np.diag(posterior), 0.0, 1.0)
+        determined = np.clip(1.0 - np.sum(root**2, axis=1), 0.0, 1.0)
         # The default prior std counts as much as one direction that the data determine.
         squares = np.bincount(member, moved**2, len(groups)) + usual**2
         counts = np.bincount(member, determined, len(groups)) + 1.0

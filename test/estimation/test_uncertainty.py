@@ -24,6 +24,7 @@ from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertainty import (
     Fold,
+    Folds,
     GridSteps,
     ParameterGroup,
     Uncertainty,
@@ -72,7 +73,7 @@ def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of
     spreads = rng.uniform(0.1, 2.0, 6)
     measured, known = rows.T @ rows, weighed.T @ weighed
     inverse = np.linalg.inv(measured + known + np.diag(spreads**-2.0))
-    found = sum(error_covariance(inverse, measured, 1.0, known, np.ones(6), 1.0 / spreads))
+    found = sum(error_covariance(inverse, rows.T, 1.0, weighed.T, np.ones(6), 1.0 / spreads))
     prior, all_rows = np.diag(spreads**2), np.concatenate([rows, weighed])
     gain = prior @ all_rows.T @ np.linalg.inv(all_rows @ prior @ all_rows.T + np.eye(5))
     np.testing.assert_allclose(found, prior - gain @ all_rows @ prior, rtol=0, atol=1e-12)
@@ -91,7 +92,7 @@ def test_the_covariance_is_that_of_the_errors_whatever_the_weights() -> None:
     of_prior = np.sqrt(weights * spreads**2)[:, None] * rng.normal(size=(6, runs))
     measured, known = rows.T @ rows, weighed.T @ weighed
     inverse = np.linalg.inv(measured + trust * known + np.diag(weights))
-    parts = error_covariance(inverse, measured, trust, known, np.full(6, inflation), weights * spreads)
+    parts = error_covariance(inverse, rows.T, trust, weighed.T, np.full(6, inflation), weights * spreads)
     for found, larger in ((sum(parts), 1.0), (with_enlarged_prior(sum(parts), parts[1]), 3.0)):
         errors = np.linalg.lstsq(left, np.concatenate([of_rows, of_weighed, larger * of_prior]), rcond=None)[0]
         np.testing.assert_allclose(errors @ errors.T / runs, found, rtol=0, atol=0.05 * np.max(found))
@@ -101,7 +102,9 @@ def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolut
     rng = np.random.default_rng(2)
     fisher, spreads = information(rng, 6, 3), np.full(6, 0.3)
     inverse = np.linalg.inv(fisher + np.diag(spreads**-2.0))
-    noise, inherited = error_covariance(inverse, fisher, 1.0, np.zeros((6, 6)), np.ones(6), 1.0 / spreads)
+    noise, inherited = error_covariance(
+        inverse, Fold(spreads, fisher).root, 1.0, np.zeros((6, 0)), np.ones(6), 1.0 / spreads
+    )
     resolution = inverse @ fisher
     found = Uncertainty(noise + inherited, inherited, np.diag(spreads**2), 1.0, np.zeros(len(spreads)), inverse)
     assert found.from_data(slice(0, 6)) == pytest.approx(np.trace(resolution) / 6.0, rel=1e-9)
@@ -142,7 +145,7 @@ def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_o
         rows = np.column_stack([0.3 * rng.normal(size=(count, 3)), np.zeros(count)])
         folds = recorded(rows, rng.normal(size=count))
         found = estimate_uncertainty(
-            folds, nothing(4), 1.0, np.full(4, 25.0), np.array([0.2, -0.3, 0.1, 0.0]), one_group(4)
+            Folds(folds), nothing(4), 1.0, np.full(4, 25.0), np.array([0.2, -0.3, 0.1, 0.0]), one_group(4)
         )
         assert found.from_data(slice(3, 4)) == pytest.approx(0.0, abs=1e-9)
         shares.append(found.from_data(slice(0, 3)))
@@ -171,7 +174,7 @@ def test_rows_written_down_several_times_do_not_shrink_the_interval() -> None:
         weights = np.full(size, 1e-6)
         once, often = (
             estimate_uncertainty(
-                recorded(np.repeat(rows, count, axis=0), np.repeat(residuals, count)),
+                Folds(recorded(np.repeat(rows, count, axis=0), np.repeat(residuals, count))),
                 nothing(size),
                 1.0,
                 weights,
@@ -184,6 +187,28 @@ def test_rows_written_down_several_times_do_not_shrink_the_interval() -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
 
 
+def test_other_priors_of_the_same_rows_decompose_them_only_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, decomposed, eigh = np.random.default_rng(6), list[int](), np.linalg.eigh
+    folds, known, shared = (
+        Folds(recorded(rng.normal(size=(80, 4)), rng.normal(size=80))),
+        nothing(4),
+        list[FloatArray](),
+    )
+    monkeypatch.setattr(np.linalg, "eigh", lambda matrix: decomposed.append(len(matrix)) or eigh(matrix))
+    for stds in (0.2, 0.3):
+        found = estimate_uncertainty(
+            *(folds, known, 1.0, np.full(4, stds**-2.0), np.zeros(4), one_group(4)), assumed_prior_stds=stds
+        )
+        shared.append(found.covariance)
+        again = estimate_uncertainty(
+            *(Folds(folds.parts), nothing(4), 1.0, np.full(4, stds**-2.0), np.zeros(4), one_group(4)),
+            assumed_prior_stds=stds,
+        )
+        np.testing.assert_array_equal(found.covariance, again.covariance)
+    assert len(decomposed) == 4 + 4 + 2 + 4
+    assert np.all(np.diag(shared[1]) > np.diag(shared[0]))
+
+
 def test_inflation_is_that_of_its_own_kind() -> None:
     """Residuals that change slowly make a constant uncertain, not what changes sign at every sample."""
     rng, count = np.random.default_rng(4), 4000
@@ -194,8 +219,8 @@ def test_inflation_is_that_of_its_own_kind() -> None:
     slow = lfilter([1.0], [1.0, -0.9], rng.normal(size=(count // 10, 10)), axis=0) * np.sqrt(1.0 - 0.9**2)
     groups = [ParameterGroup(np.arange(10), 0.2), ParameterGroup(np.arange(10, 20), 0.2)]
     information = rows.T @ rows
-    inverse = np.linalg.inv(information + 1e-6 * np.eye(20))
-    found = variance_inflation(recorded(rows, slow.ravel()), information, inverse, np.full(20, 1e-6), groups)
+    covariance = np.linalg.inv(information + 1e-6 * np.eye(20))
+    found = variance_inflation(recorded(rows, slow.ravel()), information, covariance, np.full(20, 1e-6), groups)
     assert 9.0 < found[0] < 29.0  # (1 + 0.9) / (1 - 0.9) in blocks without end
     assert found[10] == 1.0
 
@@ -384,7 +409,7 @@ def test_correlations_longer_than_a_fold_are_seen() -> None:
     slopes = 1e-3 * rng.normal(size=(8, 6))
 
     def factor(slopes: FloatArray) -> float:
-        folds = [Fold(slope, np.eye(6)) for slope in slopes]
+        folds = Folds([Fold(slope, np.eye(6)) for slope in slopes])
         spreads, groups = np.full(6, 0.2), one_group(6)
         return (
             1.0 / estimate_uncertainty(folds, nothing(6), 1.0, spreads**-2.0, np.zeros(6), groups).independent_fraction
