@@ -207,12 +207,13 @@ class _Fits:
         ``masses`` may be known."""
         whole = self.whole if masses is None else self.whole.with_known_rows(masses)
         problem = replace(subproblem(whole, columns), independent_fraction=self.independent)
+        prior = _coupled_prior(self.settings, problem)
+        problem = problem if prior is None else prior.problem
         solve: Callable[..., Fit] = partial(fit, tolerance=self.settings.tolerance, max_steps=self.settings.max_steps)
         if start is not None:
             solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), prior_stds=start.spreads)
         elif alternative is not None and alternative.parameters is not None:
             solve = with_second_start(solve, problem.point_at(alternative.parameters[columns]), alternative.prior_stds)
-        prior = _coupled_prior(self.settings, problem)
         minimum = partial(_minimum, settings=self.settings, columns=columns, whole=self.whole)
         if prior is None:
             return _Solved(columns, minimum(solve(problem)))

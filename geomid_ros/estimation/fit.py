@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from geomid_ros.estimation.objective import Evaluation, ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
-from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDS, SETTLED
+from geomid_ros.estimation.tolerances import LEAST_DECREASE, LEAST_GRADIENT, ROUNDS, SETTLED
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import SIZE
@@ -159,6 +159,7 @@ def fit(
     tolerance: float,
     max_steps: int,
     coupling: Coupling | None = None,
+    rough: bool = False,
 ) -> Fit:
     """Fit all parameters, the noise of each group and the prior std of each link.
 
@@ -169,6 +170,7 @@ def fit(
         tolerance: largest geodesic distance of the result from the minimum.
         max_steps: largest number of solver steps per round, in which noise and prior std are fixed.
         coupling: determines the problem of all rounds but the first; the same problem unless given.
+        rough: True to end within :data:`SETTLED`, where another fit starts.
     """
     point = start or problem.prior_point
     prior_stds = problem.default_stds if prior_stds is None or problem.gamma is not None else prior_stds
@@ -177,8 +179,9 @@ def fit(
     extrapolation, steps = None, 0
     for _ in range(ROUNDS):
         objective = _objective(problem, sigmas, prior_stds)
-        most = max_steps if extrapolation is None else 1
-        solution = trust_region(objective, point, _gradient(objective, tolerance), most)
+        most, least = (max_steps, LEAST_DECREASE) if extrapolation is None else (1, 0.0)
+        gradient = _gradient(objective, tolerance)
+        solution = trust_region(objective, point, gradient, most, least_decrease=least)
         point, steps = solution.point, steps + solution.steps
         before = np.log(np.concatenate([sigmas, prior_stds]))
         sigmas = problem.noise(point.parameters)
@@ -205,6 +208,8 @@ def fit(
             after = extrapolation.next(before, after)
             sigmas, prior_stds = np.split(np.exp(after[:size]), [len(sigmas)])
         elif np.max(moves) < SETTLED:
+            if rough:
+                return replace(found, budget_exhausted=False)
             extrapolation = Extrapolation()
         if coupling is not None:
             problem = coupling.problem_in(after[size:], point)
@@ -215,10 +220,10 @@ def with_second_start(solve: Callable[..., Fit], other: Point, prior_stds: Float
     """Wrap a solver such as :func:`fit`: without a start it also solves from ``other`` with other ``prior_stds
     (links,)``, and returns the more likely of the two minima."""
 
-    def best(problem: Problem, start: Point | None = None, **keywords: FloatArray) -> Fit:
+    def best(problem: Problem, start: Point | None = None, **keywords: Any) -> Fit:
         if start is not None:
             return solve(problem, start, **keywords)
-        first, second = solve(problem), solve(problem, other, prior_stds)
+        first, second = solve(problem, **keywords), solve(problem, other, prior_stds, **keywords)
         return second if second.score < first.score - SETTLED else first
 
     return best

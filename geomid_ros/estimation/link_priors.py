@@ -301,7 +301,7 @@ def fit_with_coupled_prior(
         True for a fit that did not settle.
     """
     given = given and {**prior.trusted, **given}  # blocks that are not given keep their prior
-    found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted))
+    found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted), rough=True)
     weights, point = given or prior.weights(found, prior.trusted), found.search_point
     linearised = _Linearised(prior, np.log([weights[name] for name in prior.names]), weights_given=given is not None)
     problem = prior.problem_at(point, weights)

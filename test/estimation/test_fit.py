@@ -13,7 +13,9 @@ from geomid_ros.estimation import estimator
 from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, with_fitted_effects, with_second_start
 from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
+from geomid_ros.estimation.tolerances import SETTLED
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.effects import identifiable
@@ -135,6 +137,23 @@ def test_noise_and_spreads_are_a_fixed_point() -> None:
     np.testing.assert_allclose(warm.sigmas, cold.sigmas, rtol=1e-6)
     np.testing.assert_allclose(warm.prior_stds, cold.prior_stds, rtol=1e-5)
     np.testing.assert_allclose(warm.point.parameters, cold.point.parameters, rtol=1e-4, atol=1e-6)
+
+
+def test_a_rough_fit_ends_near_the_fixed_point_in_fewer_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, rounds, solver = problem(arm("arm7", 3)), list[int](), trust_region
+
+    def counted(*arguments: Any, **options: Any) -> Solution:
+        rounds[-1] += 1
+        return solver(*arguments, **options)
+
+    monkeypatch.setattr("geomid_ros.estimation.fit.trust_region", counted)
+    found = []
+    for rough in (True, False):
+        rounds.append(0)
+        found.append(fit(whole, tolerance=1e-10, max_steps=300, rough=rough))
+    assert 2 * rounds[0] <= rounds[1]
+    np.testing.assert_allclose(found[0].sigmas, found[1].sigmas, rtol=2 * SETTLED)
+    np.testing.assert_allclose(found[0].prior_stds, found[1].prior_stds, rtol=5 * SETTLED)
 
 
 def test_a_links_spread_is_its_distance_from_the_prior_and_what_is_unsure_of_it() -> None:
