@@ -229,6 +229,7 @@ def _significant(solve: Callable[[IntArray], _Solved], columns: IntArray, may_go
         if not sizes:
             return solved
         columns = np.setdiff1d(columns, min(sizes, key=sizes.__getitem__))  # without it, the others may be significant
+        del solved  # large
 
 
 def _masses(found: Estimate) -> WeighedRows:

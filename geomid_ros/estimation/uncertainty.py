@@ -197,8 +197,11 @@ def estimate_uncertainty(
 
 
 def _sum(folds: Sequence[Fold]) -> Fold:
-    gradient, information = folds[0].gradient.copy(), folds[0].information.copy()
-    for fold in folds[1:]:
+    first, *others = folds
+    if not others:
+        return first
+    gradient, information = first.gradient.copy(), first.information.copy()
+    for fold in others:
         gradient += fold.gradient
         information += fold.information
     return Fold(gradient, information)
