@@ -7,7 +7,8 @@ contradicts the prior is released from it, by the weight that a t-distribution g
 The errors of alike parts have a common part, of the default std s, and an individual part, a fifth of it. With the
 tangent coordinates d_i of n links at their priors, mirrored to those of the first, the covariance of the errors is
 ``s^2 (1 1^T + I / 25)``. To within a hundredth, that is a prior of each link alone with std ``s sqrt(n)``, and rows
-that tie the links to their mean. A link that is unlike the others is released alone.
+that tie the links to their mean. Robots differ in how alike their parts are: one weight, from the deviations of all
+links together, widens the individual parts of all. A link that is unlike the others is released alone.
 
 With the population of a robot's type, the population's covariance is that of the prior. If the block of a link or of an
 effect is released, its covariance is divided by its weight, and correlations stay.
@@ -27,6 +28,7 @@ from geomid_ros.estimation.fit import CERTAINTY, Coupling, Fit, prior_std_cost, 
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.tolerances import ROUNDS
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import SIZE
@@ -116,6 +118,10 @@ class CoupledPrior(ABC):
         """Rows ``(r, k)`` per block that map the tangent coordinates to its distance, in units of the default size."""
 
     @abstractmethod
+    def common_weight(self, squares: FloatArray, sizes: FloatArray, /) -> float:
+        """Weight of all blocks, from their squared distances and the numbers of their coordinates ``(blocks,)``."""
+
+    @abstractmethod
     def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
         """Yield a sentence for each block that was released."""
 
@@ -144,12 +150,13 @@ class CoupledPrior(ABC):
         """Weights of the blocks, from the expected squares of their coordinates at a fit."""
         tangent = self.tangent(found.search_point)
         expected = np.column_stack([tangent, self._covariance_root(found, tangent)])
-        weights = {}
-        for name, off in zip(self.names, self.block_distances(before), strict=True):
+        squares, sizes = np.zeros((2, len(self.names)))
+        for block, off in enumerate(self.block_distances(before)):
             (used,) = np.nonzero(np.any(off, axis=0))
-            square = float(np.sum((off[:, used] @ expected[used]) ** 2))
-            weights[name] = min(1.0, (self.freedom + len(off)) / (self.freedom + square))
-        return weights
+            squares[block], sizes[block] = np.sum((off[:, used] @ expected[used]) ** 2), len(off)
+        common = self.common_weight(squares, sizes)
+        weights = np.minimum(1.0, common * (self.freedom + sizes) / (self.freedom + common * squares))
+        return dict(zip(self.names, weights.tolist(), strict=True))
 
     def _covariance_root(self, fit: Fit, tangent: FloatArray) -> FloatArray:
         """Root ``(k, r)`` of the posterior covariance, in the prior's coordinates."""
@@ -193,14 +200,28 @@ class AlikePrior(CoupledPrior):
         stds, units = self._individual_stds(weights), np.eye(len(self.columns))
         return np.asarray(deviation_from_common(self.parts, stds, units) / ALIKE_PRIOR_STD)
 
+    def common_weight(self, squares: FloatArray, sizes: FloatArray, /) -> float:
+        """Weight of all links: how alike the parts of this robot are, apart from those that are unlike the others."""
+        common = 1.0
+        for _ in range(ROUNDS):
+            parts = (self.freedom + sizes) / (self.freedom + common * squares) * squares
+            common = min(1.0, float((self.freedom + np.sum(sizes)) / (self.freedom + np.sum(parts))))
+        return common
+
     def _individual_stds(self, weights: Mapping[str, float]) -> FloatArray:
         return ALIKE_PRIOR_STD * np.array([weights[name] for name in self.names]) ** -0.5
 
     def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
-        """Yield a sentence for each link that is unlike the others."""
+        """Yield a sentence if all links are unlike, and one for each that is unlike the others."""
+        largest = max(weights.values(), default=1.0)
+        if largest < _RELEASED_BELOW:
+            yield (
+                "parts that are identical in the URDF differ from each other, so that their priors are hardly coupled; "
+                "check repairs and loads, or give '--alike none'"
+            )
         for group in self.parts:
             for name in group.names:
-                if weights[name] < _RELEASED_BELOW:
+                if weights[name] < _RELEASED_BELOW * largest:
                     others = ", ".join(other for other in group.names if other != name)
                     yield (
                         f"link '{name}' differs from {others}, which are identical parts in the URDF; its prior is no "
@@ -274,6 +295,10 @@ class PopulationPrior(CoupledPrior):
             rows = np.zeros((len(block), len(self.columns)))
             rows[:, block] = np.linalg.inv(np.linalg.cholesky(self.population.covariance[np.ix_(block, block)]))
             yield rows
+
+    def common_weight(self, _squares: FloatArray, _sizes: FloatArray, /) -> float:
+        """One: the population's covariance is that of its robots."""
+        return 1.0
 
     def release_warnings(self, weights: Mapping[str, float]) -> Iterator[str]:
         """Yield a sentence for each link or effect that is unlike the population's."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache, partial
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -136,6 +138,23 @@ def test_a_leg_that_was_repaired_is_let_go_and_told() -> None:
     free = identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), False).solve()
     for name in THIGHS:
         assert masses(found)[name] == pytest.approx(masses(free)[name], abs=0.1)
+
+
+@pytest.mark.parametrize(("std", "told"), [(0.2, "differ from each other"), (0.04, "")])
+def test_parts_that_all_differ_are_held_as_little_as_they_are_alike(
+    std: float, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their weights are those of the deviations of all together; that of each alone stays near the default."""
+    prior = alike_prior()
+    off = np.random.default_rng(0).normal(scale=std, size=len(prior.columns))
+    monkeypatch.setattr(AlikePrior, "tangent", lambda *_: off)
+    monkeypatch.setattr(AlikePrior, "_covariance_root", lambda *_: np.zeros((len(off), 0)))
+    weights = prior.weights(cast(Fit, SimpleNamespace(search_point=None)), prior.trusted)
+    expected = 4.0 / 3.0 * (0.04 / std) ** 2  # three of the four deviations are independent
+    assert np.median([*weights.values()]) == pytest.approx(min(expected, 1.0), rel=0.25)
+    warnings = [*prior.release_warnings(weights)]
+    assert len(warnings) == bool(told)
+    assert all(told in warning for warning in warnings)
 
 
 def test_a_fit_ends_where_its_prior_is_linearised() -> None:
