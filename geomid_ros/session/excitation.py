@@ -44,6 +44,7 @@ from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.effects import OnLink, effect_class
 from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.robot import Robot
 from geomid_ros.session.collision_scene import collision_model, not_watched, without_touching
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import MotionOptions
@@ -171,7 +172,7 @@ def design_task(urdf: str, source: Path, configuration: Configuration, options: 
         belief = belief_from_estimate(model, posterior, sigmas, earlier)
     collision = collision_model(options, robot, source)
     feasibility, unwatched = _feasibility(belief, limits, collision, options)
-    notes = (*limits.notes, *not_watched(collision, unwatched), *robot.inertia_repairs.values())
+    notes = (*held_base(robot), *limits.notes, *not_watched(collision, unwatched), *robot.inertia_repairs.values())
     slow = _SLOW_SHARE.get(options.aim, _SLOW_SHARE[PREDICTION])
     form = MotionForm(period=options.duration / options.repeats, slow_fraction=slow, repeats=options.repeats)
     return DesignTask(
@@ -181,6 +182,16 @@ def design_task(urdf: str, source: Path, configuration: Configuration, options: 
         excluded_pairs=unwatched,
         notes=notes,
     )
+
+
+def held_base(robot: Robot) -> Iterator[str]:
+    """Yield a sentence if several limbs begin at the base: the robot may stand on them, but not in this motion."""
+    limbs = [*robot.pinocchio_model.parents][1:].count(0)
+    if limbs > 1:
+        yield (
+            f"{limbs} limbs begin at '{robot.tree.root}', which must not move: hang the robot up or clamp it; the "
+            "motion is not for a robot that stands on its legs"
+        )
 
 
 def _model_of(session: Session, posterior: Posterior | None) -> MeasurementModel:

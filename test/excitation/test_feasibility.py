@@ -33,6 +33,13 @@ def test_the_lower_bounds_of_distances_hold_and_are_close() -> None:
     assert np.all(bounds >= feasibility.clearances)
 
 
+def test_limbs_that_may_be_legs_are_not_to_stand() -> None:
+    limbs = urdf().replace('<parent link="turret"/>', '<parent link="base"/>')
+    notes = small_task(text=limbs).notes
+    assert "2 limbs begin at 'base', which must not move" in notes[0]
+    assert not any("limbs" in note for note in TASK.notes)
+
+
 def test_what_breaks_a_limit_is_not_held() -> None:
     feasibility = TASK.feasibility
     motion = random_motion(feasibility, TASK.form, np.random.default_rng(1))
