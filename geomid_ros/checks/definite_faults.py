@@ -157,7 +157,7 @@ def _residual_rms(
     beyond = np.maximum(residual - allowed, 0.0)
     parts = (still, around & subject.is_moving)
     inside, at_ends = (np.sqrt(np.mean(beyond[part] ** 2, axis=0)) for part in parts)
-    outside = others.in_units(subject.measured_std).nominal.sigmas
+    outside = others.in_units(subject.measured_std).nominal.sticking_sigmas
     return np.maximum(inside, at_ends), outside
 
 

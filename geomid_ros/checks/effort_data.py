@@ -245,6 +245,11 @@ class EffortData:
         """Friction ``(N, C)`` at an evidence, in standard deviations of the efforts."""
         return np.asarray(np.einsum("nck,ck->nc", self.friction[:, :, 1:-1], found.friction[:, 1:-1]))
 
+    @property
+    def sticking(self) -> FloatArray:
+        """1 for the samples at which a joint does not move fast enough to overcome its stiction ``(N, C)``."""
+        return (~moving(self.friction[:, :, 1])).astype(np.float64)
+
     @cached_property
     def unknowns(self) -> Unknowns:
         """Effort columns of the links' errors, of unit variance, and of friction."""
@@ -255,7 +260,7 @@ class EffortData:
             by_errors = self.rows[channels == channel] @ self.factor[felt]
             columns.append(np.concatenate([*by_errors, friction], axis=1))
             errors.append((10 * felt[:, None] + np.arange(10)).ravel())
-        return Unknowns(len(self.urdf_parameters), tuple(errors), tuple(columns))
+        return Unknowns(len(self.urdf_parameters), tuple(errors), tuple(columns), self.sticking)
 
     @cached_property
     def tolerated(self) -> FloatArray:
@@ -290,7 +295,7 @@ class EffortData:
     @cached_property
     def of_friction(self) -> Evidence:
         """Evidence that efforts are friction alone, and no links are felt."""
-        unknowns = Unknowns.of(np.zeros((*self.measured.shape, 0)), self.friction)
+        unknowns = Unknowns.of(np.zeros((*self.measured.shape, 0)), self.friction, self.sticking)
         return evidence(self.measured / self.measured_std, unknowns, self.tolerated)
 
     def evidence(
@@ -335,7 +340,8 @@ class EffortData:
         at_rest, axes = [np.zeros_like(rates) for rates in motion], STANDARD_GRAVITY * np.eye(3)
         by_gravity = (self._rows(self.robot.with_gravity(axis), positions, *at_rest) for axis in axes)
         columns = np.stack([self.link_efforts(parameters, rows) for rows in by_gravity], axis=2)
-        unknowns = Unknowns.of(columns, self.friction) if found is None else self.unknowns.with_errors(columns)
+        alone = Unknowns.of(columns, self.friction, self.sticking)
+        unknowns = alone if found is None else self.unknowns.with_errors(columns)
         errors = evidence(self.target, unknowns, self.tolerated, units=self.measured_std).link_errors
         return np.asarray(self.robot.gravity + STANDARD_GRAVITY * errors[-3:])
 

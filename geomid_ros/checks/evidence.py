@@ -41,7 +41,8 @@ class Evidence:
 
     Attributes:
         log_evidence: the log evidence.
-        sigmas: ``(C,)`` of the residuals, in standard deviations of the measured channels.
+        sigmas: ``(C,)`` of the residuals in motion, in standard deviations of the measured channels.
+        sticking_sigmas: ``(C,)`` those where a joint sticks, which include its dry friction.
         link_errors: ``(r,)`` the links' errors.
         friction: ``(C, 5)`` its coefficients, in standard deviations of the measured channels.
         precision: ``(r + C k, r + C k)`` of the links' errors and the channels' separate coefficients; 1 for those
@@ -52,6 +53,7 @@ class Evidence:
 
     log_evidence: float
     sigmas: FloatArray
+    sticking_sigmas: FloatArray
     link_errors: FloatArray
     friction: FloatArray
     precision: FloatArray
@@ -71,23 +73,26 @@ class Unknowns:
         links: number r of the links' errors.
         affected_by: by channel, the errors on which it depends ``(m,)``.
         columns: by channel ``(N, m + k)``: those of these errors, and of its k separate unknowns.
+        sticking: ``(N, C)`` 1 where a channel's joint sticks: its dry friction has any value within its limits.
     """
 
     links: int
     affected_by: tuple[IntArray, ...]
     columns: tuple[FloatArray, ...]
+    sticking: FloatArray
 
     @staticmethod
-    def of(links: FloatArray, own: FloatArray) -> Unknowns:
+    def of(links: FloatArray, own: FloatArray, sticking: FloatArray) -> Unknowns:
         """Create from columns ``(N, C, r)`` of the links' errors, and separate ones ``(N, C, k)`` of each channel:
         any others, and last the five of friction."""
         felt = tuple(map(np.flatnonzero, np.any(links, axis=0)))
         columns = [np.column_stack([links[:, c, errors], own[:, c]]) for c, errors in enumerate(felt)]
-        return Unknowns(links.shape[2], felt, tuple(columns))
+        return Unknowns(links.shape[2], felt, tuple(columns), sticking)
 
     def select(self, chosen: AnyArray | slice) -> Unknowns:
         """Return the columns at some of the samples, chosen by a mask, an index array or a slice."""
-        return replace(self, columns=tuple(columns[chosen] for columns in self.columns))
+        columns = tuple(columns[chosen] for columns in self.columns)
+        return replace(self, columns=columns, sticking=self.sticking[chosen])
 
     def with_separate(self, own: FloatArray) -> Unknowns:
         """Replace the separate columns of each channel by others ``(N, C, k)``."""
@@ -105,7 +110,7 @@ class Unknowns:
         felt = [
             np.append(errors, self.links + further) for errors, further in zip(self.affected_by, added, strict=True)
         ]
-        return Unknowns(self.links + links.shape[2], tuple(felt), tuple(columns))
+        return Unknowns(self.links + links.shape[2], tuple(felt), tuple(columns), self.sticking)
 
     def times(self, weights: FloatArray) -> Unknowns:
         """Multiply rows by the ``weights (N, C)`` of their channels."""
@@ -117,10 +122,18 @@ class Unknowns:
         count = self.columns[0].shape[1] - len(self.affected_by[0])
         return [np.append(felt, self.links + count * c + np.arange(count)) for c, felt in enumerate(self.affected_by)]
 
+    @property
+    def parts(self) -> FloatArray:
+        """1 for the samples of each channel in motion, and for those at which its joint sticks ``(2, N, C)``."""
+        return np.stack([1.0 - self.sticking, self.sticking])
+
     @cached_property
-    def products(self) -> list[FloatArray]:
-        """Products of each channel's columns."""
-        return [columns.T @ columns for columns in self.columns]
+    def products(self) -> list[list[FloatArray]]:
+        """Products of each channel's columns, in motion and where its joint sticks."""
+        return [
+            [columns.T @ (part[:, None] * columns) for part, columns in zip(parts.T, self.columns, strict=True)]
+            for parts in self.parts
+        ]
 
     def link_efforts(self, errors: FloatArray) -> FloatArray:
         """Efforts of the links ``(N, C)`` at errors ``(r,)``."""
@@ -128,18 +141,19 @@ class Unknowns:
         return np.stack([columns[:, : len(felt)] @ errors[felt] for felt, columns in pairs], axis=1)
 
     def with_target(self, target: FloatArray, units: FloatArray) -> ChannelProducts:
-        """Products of the columns and of a ``target (N, C)``; links' columns are divided by ``units (C,)``."""
+        """Products of the columns and of a ``target (N, C)``, of all channels in motion, then where their joints stick;
+        links' columns are divided by ``units (C,)``."""
         size, blocks = int(self.places[-1][-1]) + 1, []
-        for channel, (felt, columns, products) in enumerate(
-            zip(self.affected_by, self.columns, self.products, strict=True)
-        ):
-            scales = np.ones(len(products) + 1)
-            scales[: len(felt)] /= units[channel]
-            block, measured = np.empty((len(scales), len(scales))), target[:, channel]
-            block[:-1, :-1], block[-1, -1] = products, measured @ measured
-            block[-1, :-1] = block[:-1, -1] = measured @ columns
-            blocks.append(scales[:, None] * block * scales)
-        return ChannelProducts(size + 1, tuple(np.append(columns, size) for columns in self.places), tuple(blocks))
+        places = [np.append(columns, size) for columns in self.places]
+        for part, products in zip(self.parts, self.products, strict=True):
+            for channel, (felt, columns) in enumerate(zip(self.affected_by, self.columns, strict=True)):
+                scales = np.ones(len(products[channel]) + 1)
+                scales[: len(felt)] /= units[channel]
+                block, measured = np.empty((len(scales), len(scales))), part[:, channel] * target[:, channel]
+                block[:-1, :-1], block[-1, -1] = products[channel], measured @ measured
+                block[-1, :-1] = block[:-1, -1] = measured @ columns
+                blocks.append(scales[:, None] * block * scales)
+        return ChannelProducts(size + 1, (*places, *places), tuple(blocks))
 
 
 def evidence(
@@ -163,10 +177,10 @@ def evidence(
         either_sign: True if viscous and dry friction may be negative, of all channels or of each ``(C,)``.
         least: smallest credible residual.
     """
-    counts = np.full(target.shape[1], float(len(target)))
+    counts = np.sum(unknowns.parts * (1.0 if counted is None else counted), axis=1)
     if counted is not None:
-        unknowns, target, counts = unknowns.times(counted), counted * target, np.maximum(np.sum(counted, axis=0), 1.0)
-    sums = unknowns.with_target(target, np.broadcast_to(units, counts.shape))
+        unknowns, target = unknowns.times(counted), counted * target
+    sums = unknowns.with_target(target, np.broadcast_to(units, target.shape[1]))
     rank = unknowns.links
     precision = np.concatenate([np.ones(rank), (1.0 / tolerated**2).ravel()])
     nonnegative = np.zeros(tolerated.shape, dtype=bool)
@@ -174,27 +188,46 @@ def evidence(
     nonnegative[:, -1] = True
     bounded = np.concatenate([np.zeros(rank, dtype=bool), nonnegative.ravel()])
     fixed, unknown = np.zeros(len(precision), dtype=bool), np.arange(len(precision))  # none is fixed at zero yet
-    sigmas = np.full(len(tolerated), 0.5)
+    sigmas = np.full(counts.shape, 0.5)
     # If efforts are tiny relative to the links' prediction, sums of squares are rounding errors.
-    least = max(least**2, float(np.finfo(float).eps * np.max(sums.targets / counts)))
+    least = max(least**2, float(np.finfo(float).eps * np.max(sums.targets / np.maximum(counts, 1.0).ravel())))
     for _ in range(ROUNDS):
-        total = sums.weighed(sigmas**-2.0)
+        total = sums.weighed(sigmas.ravel() ** -2.0)
         total[unknown, unknown] += precision
         mean, posterior, fixed = _solve_bounded(total[:-1, :-1], total[:-1, -1], bounded, fixed)
-        squares = np.maximum(sums.squares(np.append(mean, -1.0)), 0.0)
-        previous, sigmas = sigmas, np.sqrt(np.maximum(squares / counts, least))
+        squares = np.maximum(sums.squares(np.append(mean, -1.0)), 0.0).reshape(counts.shape)
+        friction = mean[rank:].reshape(tolerated.shape)[:, -FRICTION:]
+        previous, sigmas = sigmas, _sigmas(squares, counts, np.maximum(np.sum(friction[:, 2:4], axis=1), 0.0), least)
         if np.all(np.abs(np.log(sigmas / previous)) < _SETTLED):
             break
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
-    noise = float(counts @ np.log(2.0 * np.pi * sigmas**2))
+    noise = float(np.sum(counts * np.log(2.0 * np.pi * sigmas**2)))
     log_determinant = spd.log_determinant(posterior) - float(np.sum(np.log(precision[~fixed])))
     return Evidence(
         log_evidence=-0.5 * (weighted + noise + log_determinant),
-        sigmas=sigmas,
+        sigmas=sigmas[0],
+        sticking_sigmas=sigmas[1],
         link_errors=mean[:rank],
-        friction=mean[rank:].reshape(tolerated.shape)[:, -FRICTION:],
+        friction=friction,
         precision=posterior,
     )
+
+
+def _sigmas(squares: FloatArray, counts: FloatArray, dry: FloatArray, least: float) -> FloatArray:
+    """Standard deviations of the noise ``(2, C)``, in motion and where joints stick: there their dry friction is a part
+    of it, of any variance up to the square of ``dry (C,)``.
+
+    Args:
+        squares: ``(2, C)`` sums of the squared residuals, in motion and where joints stick.
+        counts: ``(2, C)`` numbers of these samples.
+        dry: ``(C,)`` dry friction.
+        least: smallest variance.
+    """
+    variances = squares / np.maximum(counts, 1.0)
+    excess = np.where(counts[0] > 0.0, np.clip(variances[1] - variances[0], 0.0, dry**2), 0.0)
+    common = (np.sum(squares, axis=0) - counts[1] * excess) / np.maximum(np.sum(counts, axis=0), 1.0)
+    common = np.maximum(common, least)
+    return np.asarray(np.sqrt([common, common + excess]))
 
 
 def _solve_bounded(
