@@ -82,11 +82,12 @@ class Unknowns:
     sticking: FloatArray
 
     @staticmethod
-    def of(links: FloatArray, own: FloatArray, sticking: FloatArray) -> Unknowns:
+    def of(links: FloatArray, own: FloatArray, sticking: FloatArray | None = None) -> Unknowns:
         """Create from columns ``(N, C, r)`` of the links' errors, and separate ones ``(N, C, k)`` of each channel:
-        any others, and last the five of friction."""
+        any others, and last the five of friction. By default nothing sticks."""
         felt = tuple(map(np.flatnonzero, np.any(links, axis=0)))
         columns = [np.column_stack([links[:, c, errors], own[:, c]]) for c, errors in enumerate(felt)]
+        sticking = np.zeros(links.shape[:2]) if sticking is None else sticking
         return Unknowns(links.shape[2], felt, tuple(columns), sticking)
 
     def select(self, chosen: AnyArray | slice) -> Unknowns:

@@ -143,9 +143,7 @@ class WrenchSensorCheck:
         columns = by_axis.reshape(len(target), 2, -1)
         sizes = np.maximum(np.sqrt(np.mean(target**2, axis=0)), _FLOOR)
         none = np.zeros((len(target), 2, FRICTION))
-        fitted = evidence(
-            target / sizes, Unknowns.of(columns, none, np.zeros((len(target), 2))), np.ones((2, FRICTION)), units=sizes
-        )
+        fitted = evidence(target / sizes, Unknowns.of(columns, none), np.ones((2, FRICTION)), units=sizes)
         forces = (columns @ fitted.link_errors).reshape(-1, 3, 2)[:, :, 0]
         return _Fit(fitted.log_evidence / len(wrench), fitted.sigmas, float(np.sum(forces * nominal)) / square)
 

@@ -227,6 +227,33 @@ def test_a_robot_whose_joints_move_one_after_the_other_is_sound(name: str, seed:
         assert findings(of.model, samples(moving, recorded + noise)) == ()
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_friction_that_sticks_between_motions_is_sound(name: str, seed: int) -> None:
+    """Where a robot waits between its motions, dry friction has any value within its limits: here the largest."""
+    of, rng = case(name, seed), np.random.default_rng([seed, 78])
+    robot = of.model.robot.with_gravity(np.zeros(3))
+    joints = len(robot.joints)
+    moving = Motion(*np.concatenate([_one_way(rng, joints) for _ in range(12)], axis=1))
+    measured = efforts(robot, of.true, moving, np.zeros(3))
+    waits = np.repeat(rng.choice([-1.0, 1.0], (12, joints)), len(moving) // 12, axis=0)
+    dry = np.where(np.any(moving.velocity, axis=1, keepdims=True), np.tanh(moving.velocity / 0.01), waits)
+    recorded = measured + 4.0 * np.std(measured, axis=0) * dry + 0.01 * rng.normal(size=dry.shape)
+    check = checked(MeasurementModel(robot, of.effects), samples(moving, recorded))
+    assert check.findings() == ()
+    assert check.remarks == ()
+
+
+def _one_way(rng: np.random.Generator, joints: int) -> FloatArray:
+    """All joints move to another pose within 1 s, as smoothly as can be, and wait as long ``(3, 200, joints)``."""
+    share = np.minimum(np.arange(200) / 100.0, 1.0)[:, None]
+    way, speed = 10 * share**3 - 15 * share**4 + 6 * share**5, 30 * share**2 - 60 * share**3 + 30 * share**4
+    begin, end = rng.uniform(-1.2, 1.2, (2, joints))
+    return np.array(
+        [begin + (end - begin) * way, (end - begin) * speed, (end - begin) * np.gradient(speed, 0.01, axis=0)]
+    )
+
+
 def test_what_is_to_be_written_depends_on_the_gains_that_were_configured(robot: Case) -> None:
     joints = robot.model.robot.joint_names
     gains = np.arange(2.0, 2.0 + len(joints))
