@@ -150,6 +150,13 @@ class RecordingCheck:
         self.remarks = judgement.remarks
         return judgement.findings
 
+    def changes_until(self, later: RecordingCheck) -> tuple[RecordingFault, ...]:
+        """Return what seems to have changed until ``later`` recordings of the same robot, in which nothing is wrong."""
+        before, after = self._instants.kept, later._instants.kept
+        if before is None or after is None:
+            return ()
+        return self._judge(self._task, Excerpt(before.then(after), None, None)).findings
+
     @property
     def recorded(self) -> Samples | None:
         """Kept samples; None if there are none."""

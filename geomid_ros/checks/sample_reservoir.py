@@ -28,6 +28,15 @@ class KeptSamples:
     recordings: IntArray
     bags: AnyArray
 
+    def then(self, later: KeptSamples) -> KeptSamples:
+        """Append those of ``later`` recordings."""
+        return KeptSamples(
+            Samples.concatenate([self.samples, later.samples]),
+            Samples.concatenate([self.next_samples, later.next_samples]),
+            np.append(self.recordings, self.recordings[-1] + 1 + later.recordings),
+            np.append(self.bags, later.bags),
+        )
+
 
 class SampleReservoir:
     """Keep at most 250 samples, at least 0.1 s apart and evenly over the whole time.

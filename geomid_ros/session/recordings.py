@@ -190,6 +190,7 @@ def read_bags(
     session.review.findings += fitted.standstill_findings()
     for path in bags.validate:
         pipeline, check = session.new_pipeline(), session.review.new_check()
+        check.begin_recording(path.name)
         with Bag(path) as bag:
             for samples in read_samples(bag, session, pipeline, bags.topics, progress):
                 check.add(samples)

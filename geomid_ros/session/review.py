@@ -197,6 +197,7 @@ class Review:
         """Choices made for the user, in sentences."""
         self._kept: tuple[RecordingFault, ...] = ()  # findings on recordings that are checked separately
         self._validated: tuple[str, ...] = ()  # sentences on recordings that are only evaluated on
+        self._sound: list[RecordingCheck] = []  # checks of those in which nothing is wrong
         self._forgotten: dict[str, Account] = {}  # the ledger's counts when findings were forgotten
         self._incomplete: list[str] = []  # sentences on missing parts of the recordings that were read
         self._imus: list[str] = []  # IMU topics in the recordings
@@ -246,6 +247,7 @@ class Review:
         """
         findings = (*check.findings(continuous=is_continuous(accounts)), *faulty_streams(accounts, {}))
         self._validated += tuple(f"{name} (validation bag): {finding.sentence}" for finding in findings)
+        self._sound += [] if findings else [check]
 
     def forget(self) -> None:
         """Check only the samples to come."""
@@ -297,10 +299,13 @@ class Review:
             remarks += turned_imu(self._model, estimate)
             findings = findings or as_faults(displaced_imu(self._model, samples, estimate.parameters))
         findings = findings or as_faults(unexplained_base(self._model, samples, estimate.parameters))
+        if held_out is not None and (poor := poorly_predicted(estimate, held_out)):
+            changes = self._changes()
+            remarks += [*poor, *(() if findings else (change.sentence for change in changes))]
+            findings = findings and (changes or findings)
         if self._controller is not None:
             remarks += encoder_zeros(self._controller, estimate.effects, self._robot.joint_names)
         remarks += never_lifted(self._model, estimate)
-        remarks += [] if held_out is None else poorly_predicted(estimate, held_out)
         impossible = tuple(impossible_links(self._robot.urdf, self._robot.source, self._suspects(estimate)))
         return verdict(
             estimate,
@@ -311,6 +316,12 @@ class Review:
             effort_faults=remarks,
             implausible_links=impossible,
         )
+
+    def _changes(self) -> tuple[RecordingFault, ...]:
+        """What changed between sound recordings: those that were fitted, and others that were only evaluated on."""
+        if self.findings:
+            return ()
+        return tuple(change for later in self._sound for change in self.check.changes_until(later))
 
     def _suspects(self, estimate: Estimate) -> Iterator[LinkEstimate]:
         """Links whose masses are far from the URDF's, except for end links, which may carry a payload."""

@@ -16,6 +16,8 @@ from checks.test_efforts import checked
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
 from geomid_ros.model.samples import Samples
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 SECONDS, CHANGE = 24.0, 9.0
@@ -118,6 +120,26 @@ def test_the_bag_in_which_something_changes_is_named(robot: Case) -> None:
         check.add(replace(samples, stamps=samples.stamps + pause))
     (finding,) = check.findings()
     assert re.search("from about 0 s of 'carrying' on", finding.sentence), finding
+
+
+def test_what_is_on_a_robot_in_another_recording_only_is_the_reason_of_the_verdict(robot: Case) -> None:
+    """Each recording is sound by itself, and the estimate explains the one to which it was fitted."""
+    session = Session(robot.model.robot.urdf, Configuration({}), "arm3")
+    (bare, carrying), checks = (felt(robot, robot.true), felt(robot, loaded(robot.true, 2.0))), []
+    recorded = [replace(robot.samples, effort=effort) for effort in (bare, carrying, bare)]
+    for bag, part in zip(("bare", "carrying", "bare again"), recorded, strict=True):
+        checks.append(session.review.new_check() if checks else session.review.check)
+        checks[-1].begin_recording(bag)
+        checks[-1].add(part)
+        assert checks[-1].findings() == ()
+    assert checks[0].changes_until(checks[2]) == ()
+    session.identifier.add(recorded[0])
+    estimate = session.identifier.solve()
+    session.review.judge_validation("carrying", checks[1], {})
+    held_out = session.rms([recorded[1]], *estimate.predictor)
+    judged = session.review.verdict(estimate, [recorded[1]], held_out)
+    assert "carries about 2 kg more from about 0 s of 'carrying' on" in " ".join((*judged.reasons, *judged.warnings))
+    assert not any("sign" in reason for reason in judged.reasons)
 
 
 @pytest.mark.parametrize("robot", ROBOTS[1:], indirect=["robot"], ids=str)
