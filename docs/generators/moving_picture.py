@@ -22,7 +22,7 @@ from PIL import Image
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.ellipsoids import Ellipsoid, View, view_of
+from geomid_ros.report.pictures import Ellipsoid
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
@@ -67,17 +67,27 @@ def moments(session: Session, train: Samples, held_out: list[Samples]) -> Iterat
         begin = end
 
 
-def draw_arm(axes: Axes, session: Session, moment: Moment, view: View) -> None:
+# Rows: to the right and up, from 16 degrees above, across the arm.
+AZIMUTH, ELEVATION = np.radians(-60.0), np.radians(16.0)
+VIEW = np.array(
+    [
+        [-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0],
+        [-np.sin(ELEVATION) * np.cos(AZIMUTH), -np.sin(ELEVATION) * np.sin(AZIMUTH), np.cos(ELEVATION)],
+    ]
+)
+
+
+def draw_arm(axes: Axes, session: Session, moment: Moment) -> None:
     """The arm's bodies: outlines as in the URDF, filled as identified."""
     frames = session.robot.link_frames(moment.pose)
     nominal = session.model.nominal_inertias.reshape(-1, 10)
     for link, before in zip(moment.estimate.links, nominal, strict=True):
         colour = SHARES(link.from_data)
-        found, urdf = (view.outline(Ellipsoid.of(p, *frames[link.name])) for p in (link.parameters, before))
+        found, urdf = (Ellipsoid.of(p, *frames[link.name]).outline(VIEW) for p in (link.parameters, before))
         axes.add_patch(Polygon(found.T, fc=colour, ec=[0.6 * c for c in colour[:3]], lw=0.8, alpha=0.85))
         axes.plot(*urdf, color=GREY, lw=0.9)
     names = [link.name for link in moment.estimate.links]
-    chain = view.flat(np.array([np.zeros(3), *(frames[name][1] for name in names)]))
+    chain = np.array([np.zeros(3), *(frames[name][1] for name in names)]) @ VIEW.T
     axes.plot(*chain.T, "-o", color="#3c4043", lw=2.0, ms=3.5, mfc="white", mew=1.0)
     axes.set(xlim=(-0.42, 0.72), ylim=(-0.06, 1.39), aspect="equal")
     axes.set_axis_off()
@@ -133,11 +143,11 @@ def draw_key(axes: Axes) -> None:
         axes.text(x + 0.03, 0.48, text, fontsize=8.5, color=FAINT, va="center")
 
 
-def frame(session: Session, moment: Moment, view: View, nominal_rms: FloatArray, truth: FloatArray) -> Image.Image:
+def frame(session: Session, moment: Moment, nominal_rms: FloatArray, truth: FloatArray) -> Image.Image:
     """One picture."""
     figure = Figure(figsize=(8.0, 4.4), dpi=100, facecolor="white")
     canvas = FigureCanvasAgg(figure)
-    draw_arm(figure.add_axes((0.0, 0.01, 0.38, 0.88)), session, moment, view)
+    draw_arm(figure.add_axes((0.0, 0.01, 0.38, 0.88)), session, moment)
     urdf = session.model.nominal_inertias.reshape(-1, 10)[:, 0]
     draw_masses(figure.add_axes((0.48, 0.47, 0.48, 0.35)), moment, urdf, truth)
     draw_fit(figure.add_axes((0.48, 0.065, 0.48, 0.26)), moment, nominal_rms, len(session.robot.joints))
@@ -169,11 +179,9 @@ def main() -> None:
     held_out = read_bags(session, Bags(fitted=[BAG]), train.append)
     fitted = Samples.concatenate(train)
     found = list(moments(session, fitted, held_out))
-    frames = session.robot.link_frames(fitted.select(slice(0, 1)))
-    view = view_of(np.array([origin for _, origin in frames.values()]))
     nominal_rms = session.rms(held_out, session.model.nominal_parameters)
     truth = true_masses(session)
-    pictures = [frame(session, moment, view, nominal_rms, truth) for moment in found]
+    pictures = [frame(session, moment, nominal_rms, truth) for moment in found]
     palette = one_below_another(pictures[::4]).quantize(192, dither=Image.Dither.NONE)
     first, *others = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     durations = [MILLISECONDS] * (len(pictures) - 1) + [PAUSE]

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
-from matplotlib.transforms import Affine2D
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.samples import Samples
-from geomid_ros.report import ellipsoids
-from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid, View
 from geomid_ros.report.page import (
     DOUBT,
     FAINT,
@@ -40,9 +38,11 @@ from geomid_ros.report.pictures import (
     ROBOT,
     SIZE,
     AxesRectangle,
+    Ellipsoid,
     add_area,
     add_axes,
     add_text,
+    frame_space,
     new_figure,
     shortened,
     text_width,
@@ -198,198 +198,111 @@ def _change(channel: Series) -> str:
 
 # --- Bodies before and after, and the table of links ---
 
-Color: TypeAlias = tuple[float, float, float]
-
 MOST_ROWS = 30  # of the link table
 
 _TABLE_WIDTH, _ROW, _KEY_HEIGHT = 3.9, 0.28, 1.15  # [inch]
 _THINNEST = 1e-3  # smallest semi-axis drawn, as a fraction of the robot's size
-_BADGE = 0.1  # radius of a link's number in the picture [inch]
+_BADGE = 0.1  # radius of a link's number in the table [inch]
 # For colour-blind readers, the scale darkens steadily.
 _SHARES = LinearSegmentedColormap.from_list("share", SHARES)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyDrawing:
+    """Link to draw.
+
+    Attributes:
+        name: name of the link.
+        origin: origin of its frame in the world, ``(3,)`` [m].
+        parent_origin: start of the stick to it, ``(3,)`` [m]; None for no stick.
+        prior, identified: its body before and after.
+        from_data: fraction of the prior variance that the data removed, 0 to 1.
+        std_mass: standard deviation of the identified mass [kg], NaN if unknown.
+    """
+
+    name: str
+    origin: FloatArray
+    parent_origin: FloatArray | None
+    prior: Ellipsoid
+    identified: Ellipsoid
+    from_data: float
+    std_mass: float = np.nan
 
 
 def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
     """Draw the robot, the table of its links and the key.
 
-    Bodies that reach too far to leave room for the others are cut off at the edge of the picture, which a text names.
-    """
-    reach = ellipsoids.reach_of(bodies)
-    bodies = [ellipsoids.thickened(body, _THINNEST * reach) for body in bodies]
-    solids = ellipsoids.solids_within(bodies, reach)
-    points = np.vstack([ellipsoids.stick_ends(bodies), *(solid.centre for solid in solids)])
-    view = ellipsoids.view_of(points)
-    floor, step = ellipsoids.floor_below(points, solids)
-    low, high = ellipsoids.bounds(view.rotation[:2], np.vstack([points, floor.reshape(-1, 3)]), solids)
-    robot, table, key = _layout(high - low, len(bodies))
-    axes, inch = _robot_axes(figure, robot, low, high)
-    _draw_floor(axes, view, floor)
-    _draw_compass(axes, view, inch, f"floor grid {step:g} m")
-    _draw_sticks(axes, view, bodies)
-    for body in bodies:
-        if body.identified.is_finite:
-            _draw_identified(axes, view, body)
-        if body.prior.is_finite:
-            _draw_prior(axes, view, body)
-    _draw_badges(axes, view, bodies, inch)
-    add_text(figure, ROBOT[0], ROBOT[1] + ROBOT[3] + 0.08, _cut_off(axes, view, bodies), 9.0, DOUBT)
-    _draw_table(add_area(figure, table), bodies)
-    _draw_key(figure, key)
-
-
-def _cut_off(axes: Axes, view: View, bodies: Sequence[BodyDrawing]) -> str:
-    """List the ellipsoids that the edge of the picture cuts off; empty if there are none."""
-    low, high = np.transpose([axes.get_xlim(), axes.get_ylim()])
-    parts = []
-    for place, body in enumerate(bodies, 1):
-        for kind, solid in (("URDF", body.prior), ("identified", body.identified)):
-            centre, half = view.flat(solid.centre), view.half_widths(solid)
-            if np.any((centre - half < low) | (centre + half > high)):
-                reach = written(solid.reach_from(body.origin))
-                parts.append(f"{place} {kind}, reaches {reach} m from its link's frame")
-    return textwrap.shorten(f"Not wholly shown: {'; '.join(parts)}.", 125, placeholder=" …") if parts else ""
-
-
-def _layout(extent: FloatArray, links: int) -> tuple[AxesRectangle, AxesRectangle, AxesRectangle]:
-    """Places of robot, table and key. The table is beside or below, whichever gives the larger robot.
-
-    ``extent (2,)``: of the robot on the picture [m].
+    Bodies that reach too far to leave room for the others are not drawn; a text names them.
     """
     left, top, width, height = ROBOT
-    table_height = 0.32 + _ROW * (min(links, MOST_ROWS) + (links > MOST_ROWS))
-    beside = (left, top, width - _TABLE_WIDTH - 0.1, height)
-    below = (left, top, width, height - max(table_height, _KEY_HEIGHT) - 0.35)
-    if _scale(below, extent) > _scale(beside, extent):
-        bottom = top + height
-        table = (left + 0.3, bottom - max(table_height, _KEY_HEIGHT), _TABLE_WIDTH, table_height)
-        return below, table, (left + width - _TABLE_WIDTH, table[1], _TABLE_WIDTH, _KEY_HEIGHT)
-    column = left + width - _TABLE_WIDTH
-    table_height = min(table_height, height - _KEY_HEIGHT - 0.3)
-    key = (column, top + table_height + 0.3, _TABLE_WIDTH, _KEY_HEIGHT)
-    return beside, (column, top, _TABLE_WIDTH, table_height), key
+    reach = _reach(bodies)
+    far = [
+        f"{number} {kind}, reaches {written(solid.reach_from(body.origin))} m from its link's frame"
+        for number, body in enumerate(bodies, 1)
+        for kind, solid in (("URDF", body.prior), ("identified", body.identified))
+        if solid.reach_from(body.origin) > reach
+    ]
+    text = textwrap.shorten(f"Not shown: {'; '.join(far)}.", 125, placeholder=" …") if far else ""
+    add_text(figure, left, top + height + 0.08, text, 9.0, DOUBT)
+    column, rows = left + width - _TABLE_WIDTH, min(len(bodies), MOST_ROWS) + (len(bodies) > MOST_ROWS)
+    table_height = min(0.32 + _ROW * rows, height - _KEY_HEIGHT - 0.3)
+    _draw_table(add_area(figure, (column, top, _TABLE_WIDTH, table_height)), bodies)
+    _draw_key(figure, (column, top + table_height + 0.3, _TABLE_WIDTH, _KEY_HEIGHT))
+    used = table_height + _KEY_HEIGHT + 0.3
+    beside, below = (left, top, column - left - 0.4, height), (left, top + used, width, height - used)
+    _draw_robot(figure, (beside, below), bodies, reach)
 
 
-def _scale(place: AxesRectangle, extent: FloatArray) -> float:
-    """Inches per metre if ``extent (2,)`` [m] fills the place except for a margin; negative without room."""
-    return float(np.min((np.array(place[2:]) - 0.4) / np.maximum(extent, 1e-3)))
+def _draw_robot(figure: Figure, places: Sequence[AxesRectangle], bodies: Sequence[BodyDrawing], reach: float) -> None:
+    """Draw the bodies within ``reach`` [m] of their link's origins, in the place where they are larger."""
+    solids = [
+        (solid.thickened(_THINNEST * reach), solid is body.prior, _color(body))
+        for body in bodies
+        for solid in (body.prior, body.identified)
+        if solid.reach_from(body.origin) <= reach
+    ]
+    points = np.vstack([_stick_ends(bodies), *(solid.surface.reshape(3, -1).T for solid, *_ in solids)])
+    extent = np.ptp(points, axis=0) + 1e-6
+    scale, (left, top, width, height) = max(
+        (min(place[2] / np.hypot(*extent[:2]), place[3] / extent[2]), place) for place in places
+    )
+    side = float(scale * np.linalg.norm(extent))  # axes in space are square, with the diagonal of their contents
+    square = (left + 0.5 * (width - side), top + 0.5 * (height - side), side, side)
+    with rc_context({"grid.color": GRID}):
+        axes: Any = add_axes(figure, square, projection="3d", proj_type="ortho", elev=16.0, azim=-60.0)
+    for solid, is_prior, color in solids:
+        if is_prior:
+            solid.draw_wires(axes, URDF)
+        else:
+            solid.draw(axes, color)
+    for number, body in enumerate(bodies, 1):
+        axes.plot(*_stick_ends([body]).T, "-o", color=STICKS, lw=3.0, ms=5.5, mfc="white", mew=1.3, zorder=800.0)
+        anchor, color = body.identified.centre, _color(body)
+        anchor = anchor if body.identified.reach_from(body.origin) <= reach else body.origin
+        badge = {"boxstyle": "circle", "fc": color, "ec": "white"}
+        style = {"size": 7.5, "color": _ink_on(color), "weight": "bold", "ha": "center", "va": "center"}
+        axes.text(*anchor, str(number), zorder=900.0, bbox=badge, **style)
+    frame_space(axes, points)
 
 
-def _robot_axes(figure: Figure, place: AxesRectangle, low: FloatArray, high: FloatArray) -> tuple[Axes, float]:
-    """Axes in metres with equal scales around corners ``(2,)`` [m]; and the metres per inch."""
-    axes = add_axes(figure, place)
-    axes.set_axis_off()
-    inch = 1.0 / _scale(place, high - low)
-    middle, half = (low + high) / 2.0, np.array(place[2:]) * inch / 2.0
-    axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
-    axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
-    return axes, inch
+def _reach(bodies: Sequence[BodyDrawing]) -> float:
+    """Largest reach of a body from its link's origin [m] that fits the picture: the size of the robot, or three times
+    the median reach where the frames lie close together."""
+    robot = float(np.linalg.norm(np.ptp(_stick_ends(bodies), axis=0)))
+    reaches = [body.prior.reach_from(body.origin) for body in bodies]
+    finite = [reach for reach in reaches if np.isfinite(reach)]
+    return max(robot, 3.0 * float(np.median(finite)) if finite else 0.0) or 1.0
 
 
-def _draw_floor(axes: Axes, view: View, floor: FloatArray) -> None:
-    flat = view.flat(floor)
-    for line in (*flat, *flat.transpose(1, 0, 2)):
-        axes.plot(*line.T, color=GRID, lw=0.8, zorder=0.0)
+def _stick_ends(bodies: Sequence[BodyDrawing]) -> FloatArray:
+    """End points of the sticks ``(K, 3)`` [m]."""
+    return np.array([end for body in bodies for end in (body.parent_origin, body.origin) if end is not None])
 
 
-def _draw_compass(axes: Axes, view: View, inch: float, label: str) -> None:
-    """Draw the world axes in the lower left corner, with a label beside them."""
-    start = np.array([axes.get_xlim()[0], axes.get_ylim()[0]]) + 0.2 * inch
-    for axis, name in zip(view.rotation[:2].T, "xyz", strict=True):
-        axes.plot(*np.transpose([start, start + 0.33 * inch * axis]), color=FAINT, lw=1.3, zorder=0.1)
-        end = start + 0.45 * inch * axis
-        add_text(axes, end[0], end[1], name, 8.5, FAINT, ha="center")
-    add_text(axes, start[0] + 0.6 * inch, start[1] - 0.05 * inch, label, 8.5, FAINT)
-
-
-def _draw_sticks(axes: Axes, view: View, bodies: Sequence[BodyDrawing]) -> None:
-    for body in bodies:
-        if body.parent_origin is not None:
-            stick = view.flat(np.array([body.parent_origin, body.origin]))
-            axes.plot(*stick.T, color=STICKS, lw=3.0, solid_capstyle="round", zorder=2.0)
-    axes.plot(*view.flat(ellipsoids.stick_ends(bodies)).T, "o", ms=5.5, mfc="white", mec=STICKS, mew=1.3, zorder=2.1)
-
-
-def _draw_identified(axes: Axes, view: View, body: BodyDrawing) -> None:
-    """Draw a shaded, translucent ellipsoid in the colour of its fraction from data.
-
-    The outline is the unit disk under ``U S``, where ``U S V^T`` is the view's part of the sphere map.
-    """
-    solid, color = body.identified, _SHARES(_share(body.from_data))[:3]
-    sphere_map = view.sphere_map(solid)
-    turn, stretch, back = np.linalg.svd(sphere_map[:2])
-    outline = np.vstack([np.column_stack([turn * stretch, view.flat(solid.centre)]), (0.0, 0.0, 1.0)])
-    to_sheet = Affine2D(outline) + axes.transData
-    order = 1.0 + 0.5 * np.arctan(view.depth(solid.centre)) / np.pi  # nearer ones over those farther away
-    image = AxesImage(axes, extent=(-1.0, 1.0, -1.0, 1.0), origin="lower", interpolation="bilinear", zorder=order)
-    image.set_data(_shaded_disk(sphere_map, back, color))
-    image.set_transform(to_sheet)
-    image.set_clip_path(Circle((0.0, 0.0), 1.0, transform=to_sheet))
-    axes.add_artist(image)
-    edge = tuple(0.6 * np.array(color))
-    axes.add_artist(Circle((0.0, 0.0), 1.0, transform=to_sheet, fill=False, ec=edge, lw=0.9, zorder=order))
-
-
-def _shaded_disk(sphere_map: FloatArray, back: FloatArray, color: Color) -> FloatArray:
-    """Colours ``(128, 128, 4)`` of the near side of the ellipsoid over its unit disk, lit from the upper left.
-
-    ``back (3, 3)``: rows are the two directions of the disk and the line of sight, on the unit sphere.
-    """
-    u, v = np.meshgrid(*2 * [np.linspace(-1.0, 1.0, 128)])
-    w = np.sqrt(np.clip(1.0 - u**2 - v**2, 0.0, 1.0))
-    inverse = np.linalg.inv(sphere_map)
-    sight = back[2] * np.sign(back[2] @ inverse[:, 2])
-    sphere = u[..., None] * back[0] + v[..., None] * back[1] + w[..., None] * sight
-    normals = sphere @ inverse
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    light = np.array([-0.45, 0.65, 0.61])
-    bright = 0.74 + 0.38 * np.clip(normals @ light, -0.6, 1.0)[..., None]
-    alpha = 0.55 + 0.3 * (1.0 - w[..., None]) ** 2
-    return np.concatenate([np.clip(np.array(color) * bright, 0.0, 1.0), alpha], axis=-1)
-
-
-def _draw_prior(axes: Axes, view: View, body: BodyDrawing) -> None:
-    """Draw outline and principal sections of the URDF's ellipsoid."""
-    sphere_map = view.sphere_map(body.prior)
-    centre = view.flat(body.prior.centre)[:, None]
-    axes.plot(*view.outline(body.prior), color=URDF, lw=1.1, zorder=1.6)
-    for k in range(3):
-        section = np.delete(sphere_map[:2], k, axis=1) @ ellipsoids.circle()
-        axes.plot(*(centre + section), color=URDF, lw=0.55, alpha=0.9, zorder=1.6)
-
-
-def _draw_badges(axes: Axes, view: View, bodies: Sequence[BodyDrawing], inch: float) -> None:
-    """Draw each body's number at its centre, or beside it if it would hide the body or another number."""
-    anchors = [body.identified.centre if body.identified.is_finite else body.origin for body in bodies]
-    low, high = np.transpose([axes.get_xlim(), axes.get_ylim()]) / inch
-    at = np.clip(view.flat(np.array(anchors)) / inch, low + _BADGE, high - _BADGE)
-    small = [np.max(view.half_widths(body.identified)) < _BADGE * inch for body in bodies]
-    places = _spread(at + np.outer(small, (2.5 * _BADGE, _BADGE)), 2.3 * _BADGE).clip(low + _BADGE, high - _BADGE)
-    for number, (body, anchor, place) in enumerate(zip(bodies, at * inch, places * inch, strict=True), 1):
-        if np.linalg.norm(place - anchor) > 0.5 * _BADGE * inch:
-            axes.plot(*np.transpose([anchor, place]), color=INK, lw=0.7, zorder=3.0)
-            axes.plot(*anchor, "o", ms=2.5, color=INK, zorder=3.0)
-        _draw_badge(axes, place[0], place[1], number, body, inch)
-
-
-def _draw_badge(axes: Axes, x: float, y: float, number: int, body: BodyDrawing, inch: float) -> None:
-    """Draw a link's number on its colour; ``inch`` in the axes' coordinates."""
-    color = _SHARES(_share(body.from_data))[:3]
-    axes.add_artist(Circle((x, y), _BADGE * inch, fc=color, ec="white", lw=1.0, zorder=4.0))
-    add_text(axes, x, y, str(number), 7.5, _ink_on(color), weight="bold", ha="center", va="center_baseline")
-
-
-def _spread(points: FloatArray, distance: float) -> FloatArray:
-    """Push ``points (K, 2)`` apart until none are closer than ``distance``, or the rounds are used up."""
-    turns = 2.4 * np.arange(len(points))
-    places = points + 1e-6 * distance * np.stack([np.cos(turns), np.sin(turns)], axis=1)
-    for _ in range(300):
-        offsets = places[:, None] - places
-        lengths = np.linalg.norm(offsets, axis=-1) + np.eye(len(places)) * 1e9
-        push = np.clip(distance - lengths, 0.0, None) / 2.0
-        if not np.any(push > 1e-3 * distance):
-            break
-        places = places + 0.5 * np.sum(offsets / lengths[..., None] * push[..., None], axis=1)
-    return places
+def _draw_badge(area: Axes, y: float, number: int, color: tuple[float, float, float]) -> None:
+    """Draw a link's number on its colour, at the left of a table in inches."""
+    area.add_artist(Circle((_BADGE, y), _BADGE, fc=color, ec="white", lw=1.0, zorder=4.0))
+    add_text(area, _BADGE, y, str(number), 7.5, _ink_on(color), weight="bold", ha="center", va="center_baseline")
 
 
 def _draw_table(area: Axes, bodies: Sequence[BodyDrawing]) -> None:
@@ -408,8 +321,8 @@ def _draw_table(area: Axes, bodies: Sequence[BodyDrawing]) -> None:
 
 def _draw_row(area: Axes, y: float, number: int, body: BodyDrawing) -> None:
     share = _share(body.from_data)
-    color = _SHARES(share)[:3]
-    _draw_badge(area, _BADGE, y, number, body, 1.0)
+    color = _color(body)
+    _draw_badge(area, y, number, color)
     add_text(area, 0.28, y, shortened(body.name, 0.88, 9.0), 9.0)
     add_text(area, 1.54, y, written(body.prior.mass), 9.5, FAINT, ha="right")
     add_text(area, 1.62, y, "→", 9.5, FAINT, ha="center")
@@ -441,6 +354,11 @@ def _share(from_data: float) -> float:
     return float(np.clip(from_data, 0.0, 1.0)) if np.isfinite(from_data) else 0.0
 
 
-def _ink_on(color: Color) -> str:
+def _color(body: BodyDrawing) -> tuple[float, float, float]:
+    red, green, blue, _ = _SHARES(_share(body.from_data))
+    return red, green, blue
+
+
+def _ink_on(color: tuple[float, float, float]) -> str:
     """Readable text colour on ``color``: black or white."""
     return INK if float(np.dot(color, (0.299, 0.587, 0.114))) > 0.55 else "white"

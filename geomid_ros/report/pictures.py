@@ -7,27 +7,30 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
+from matplotlib.ticker import MaxNLocator
 
 from geomid_ros.errors import one_line
 from geomid_ros.files.disk import write_bytes
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.shape_prior import LinkPrior
-from geomid_ros.report.ellipsoids import Ellipsoid, View
-from geomid_ros.report.page import FLOOR, FRAME, GRID, IDENTIFIED, INK, URDF
+from geomid_ros.report.page import FAINT, FLOOR, FRAME, GRID, IDENTIFIED, INK, URDF
 from geomid_ros.types import FloatArray, IntArray
 
+Color: TypeAlias = str | tuple[float, float, float]
 AxesRectangle: TypeAlias = tuple[float, float, float, float]
 """Left, top, width, height [inch]."""
 
@@ -51,11 +54,11 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
     return figure
 
 
-def add_axes(figure: Figure, place: AxesRectangle, share: Axes | None = None) -> Axes:
-    """Add axes at a place; they ``share`` the x axis of others."""
+def add_axes(figure: Figure, place: AxesRectangle, share: Axes | None = None, **options: Any) -> Axes:
+    """Add axes at a place, with ``options`` of matplotlib; they ``share`` the x axis of others."""
     left, top, width, height = place
     rectangle = (left / SIZE[0], 1.0 - (top + height) / SIZE[1], width / SIZE[0], height / SIZE[1])
-    axes = figure.add_axes(rectangle, sharex=share)
+    axes = figure.add_axes(rectangle, sharex=share, **options)
     axes.set_title("", y=1.0)  # avoids a second layout of all ticks to place a title
     return axes
 
@@ -111,6 +114,82 @@ def tidy(axes: Axes) -> None:
     axes.spines[["left", "bottom"]].set_color(FRAME)
 
 
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """Equivalent uniform ellipsoid of a body in the pose of the robot, in the world frame.
+
+    ``centre (3,)`` and ``semi_axes (3,)`` [m], ``axes (3, 3)`` with their directions as columns, ``mass`` [kg].
+    """
+
+    centre: FloatArray
+    semi_axes: FloatArray
+    axes: FloatArray
+    mass: float
+
+    @staticmethod
+    def of(parameters: FloatArray, rotation: FloatArray, origin: FloatArray) -> Ellipsoid:
+        """Ellipsoid of inertial ``parameters (10,)`` of a link, given the pose of its frame in the world."""
+        semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(parameters)
+        centre = origin + rotation @ pseudo_inertia.centre_of_mass(parameters)
+        return Ellipsoid(centre, semi_axes, rotation @ axes, float(parameters[0]))
+
+    @property
+    def is_finite(self) -> bool:
+        """True if the ellipsoid can be drawn."""
+        return all(np.all(np.isfinite(part)) for part in (self.centre, self.semi_axes, self.axes))
+
+    def reach_from(self, origin: FloatArray) -> float:
+        """Largest reach from an ``origin (3,)`` [m]."""
+        return float(np.linalg.norm(self.centre - origin) + np.max(self.semi_axes))
+
+    def thickened(self, least: float) -> Ellipsoid:
+        """Return the ellipsoid with semi-axes of at least ``least`` [m], so that it is visible."""
+        return replace(self, semi_axes=np.maximum(np.abs(self.semi_axes), least))
+
+    def outline(self, directions: FloatArray) -> FloatArray:
+        """Outline ``(2, K)`` [m] in orthographic projection: the unit circle under ``U S``, where ``U S V^T`` maps the
+        unit sphere to the picture. ``directions (2, 3)`` point right and up."""
+        turn, stretch, _ = np.linalg.svd(directions @ (self.axes * self.semi_axes))
+        angle = np.linspace(0.0, 2.0 * np.pi, 97)
+        circle = np.array([np.cos(angle), np.sin(angle)])
+        return np.asarray((directions @ self.centre)[:, None] + (turn * stretch) @ circle)
+
+    @property
+    def surface(self) -> FloatArray:
+        """Points ``(3, 49, 25)`` [m] on a grid of longitudes and latitudes about the third axis."""
+        longitude, latitude = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 49), np.linspace(0.0, np.pi, 25), indexing="ij")
+        level = np.sin(latitude)
+        sphere = np.array([np.cos(longitude) * level, np.sin(longitude) * level, np.cos(latitude)])
+        moved: FloatArray = np.tensordot(self.axes * self.semi_axes, sphere, 1) + self.centre[:, None, None]
+        return moved
+
+    def draw(self, axes: Any, color: Color) -> None:
+        """Draw a translucent surface in 3D axes, lit from the upper left."""
+        axes.plot_surface(*self.surface, color=color, alpha=0.6, linewidth=0.0, lightsource=LightSource(190.0, 45.0))
+
+    def draw_wires(self, axes: Any, color: Color) -> None:
+        """Draw the principal sections in 3D axes, in front of all surfaces."""
+        for line in (*self.surface[:, ::12].swapaxes(0, 1), self.surface[:, :, 12]):
+            axes.plot(*line, color=color, lw=0.8, zorder=700.0)
+
+
+def frame_space(axes: Any, points: FloatArray) -> None:
+    """Give 3D axes equal scales [m], and limits that contain ``points (K, 3)``."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.5 * np.maximum(0.05 * np.max(high - low) - (high - low), 0.0) + 1e-6
+    ends = np.transpose([low - margin, high + margin])
+    axes.set(**{f"{letter}lim": pair for letter, pair in zip("xyz", ends, strict=True)})
+    axes.set_box_aspect(np.ptp(ends, axis=1), zoom=0.88)
+    axes.patch.set_visible(False)
+    axes.tick_params(labelsize=8.5, labelcolor=FAINT)
+    for axis, name in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", strict=True):
+        axis.set_label_text(f"{name} [m]", size=8.5, color=FAINT)
+        axis.labelpad = -2.0
+        axis.set_pane_color("none")
+        axis.line.set_color(FRAME)
+        axis.set_major_locator(MaxNLocator(4))
+
+
 # Name of the view along each world axis, and the axes to the right and up.
 _VIEWS = (("from the front", "yz"), ("from the right", "xz"), ("from above", "xy"))
 
@@ -140,7 +219,7 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
     for panel, axis in zip(panels, shortest, strict=True):
         name, axes = _VIEWS[int(axis)]
         right, up = (np.eye(3)["xyz".index(letter)] for letter in axes)
-        _draw(panel, links, View(np.array([right, up, np.cross(right, up)])))
+        _draw(panel, links, np.array([right, up, np.cross(right, up)]))
         panel.set_title(f"{name} ({', '.join(axes)})", size="medium")
         panel.set_aspect("equal", adjustable="box")
         panel.set_xlabel("m")
@@ -153,20 +232,21 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
     write_picture(path, figure)
 
 
-def _draw(axes: Axes, links: Sequence[PlacedLink], view: View) -> None:
-    """Draw the links in one view. The limits ignore inertials of the URDF, which may lie far outside."""
+def _draw(axes: Axes, links: Sequence[PlacedLink], view: FloatArray) -> None:
+    """Draw the links in one ``view (3, 3)``, whose rows point right, up, and towards the viewer. The limits ignore
+    inertials of the URDF, which may lie far outside."""
     extents = []
     for placed in links:
         pose = placed.rotation, placed.origin
         if placed.link.solid is not None:
-            vertices = placed.in_world(placed.link.solid.vertices) @ view.rotation.T
+            vertices = placed.in_world(placed.link.solid.vertices) @ view.T
             _draw_shape(axes, vertices, placed.link.solid.triangles)
             extents.append(vertices[:, :2])
         if placed.link.before.parameters is not None and not placed.link.before.problem:
-            outline = view.outline(Ellipsoid.of(placed.link.before.parameters, *pose))
+            outline = Ellipsoid.of(placed.link.before.parameters, *pose).outline(view[:2])
             axes.plot(*outline, color=URDF, ls="--", lw=1.0)
         if placed.link.parameters is not None:
-            outline = view.outline(Ellipsoid.of(placed.link.parameters, *pose))
+            outline = Ellipsoid.of(placed.link.parameters, *pose).outline(view[:2])
             axes.plot(*outline, color=IDENTIFIED, lw=1.3)
             extents.append(outline.T)
     ends = np.concatenate(extents)

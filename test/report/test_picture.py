@@ -5,16 +5,18 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import proj3d
 
 from geomid_ros.report import pictures
-from geomid_ros.report.drawing import identification_figure
-from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
+from geomid_ros.report.drawing import BodyDrawing, identification_figure
 from geomid_ros.report.page import ticks
-from geomid_ros.report.pictures import write_picture
+from geomid_ros.report.pictures import Ellipsoid, write_picture
 from geomid_ros.report.series import Series
 
 POINT = Ellipsoid(np.zeros(3), np.zeros(3), np.eye(3), 0.0)
@@ -102,6 +104,11 @@ def test_table_has_name_masses_and_share() -> None:
         assert expected in said
 
 
+def space(figure: Figure) -> Any:
+    """The axes in which the robot is drawn."""
+    return next(axes for axes in figure.axes if axes.name == "3d")
+
+
 def test_huge_tiny_and_far_bodies_do_not_ruin_the_view(tmp_path: Path) -> None:
     """The robot takes as much of the picture as without them, and each has its number inside."""
     bodies = chain(6)
@@ -110,21 +117,54 @@ def test_huge_tiny_and_far_bodies_do_not_ruin_the_view(tmp_path: Path) -> None:
         changed = replace(body, semi_axes=np.full(3, size), centre=body.centre + far, mass=1000.0)
         bodies[index] = replace(bodies[index], identified=changed)
     usual, changed_figure = drawn(chain(6), []), drawn(bodies, [])
-    spans = [np.ptp(figure.axes[0].get_ylim()) for figure in (usual, changed_figure)]
+    spans = [np.ptp(space(figure).get_zlim()) for figure in (usual, changed_figure)]
     assert spans[1] < 1.2 * spans[0]
-    robot = changed_figure.axes[0]
-    numbers = {text.get_text(): text.get_position() for text in robot.texts}
+    robot = space(changed_figure)
+    numbers = {text.get_text(): text.get_position_3d() for text in robot.texts}
     for number in "123456":
-        assert robot.get_ylim()[0] <= numbers[number][1] <= robot.get_ylim()[1]
+        for place, (low, high) in zip(
+            numbers[number], (robot.get_xlim(), robot.get_ylim(), robot.get_zlim()), strict=True
+        ):
+            assert low <= place <= high
     write_picture(tmp_path / "p.png", changed_figure)
     assert is_whole_picture(tmp_path / "p.png")
 
 
-def test_a_body_beyond_the_edge_is_named_with_its_reach() -> None:
+def test_an_ellipsoid_is_drawn_as_large_as_it_is() -> None:
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    surface = Ellipsoid(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]), turn, 1.0).surface
+    np.testing.assert_allclose(np.ptp(surface.reshape(3, -1), axis=1), [0.4, 0.2, 0.6])
+    offset = turn.T @ (surface.reshape(3, -1) - [[1.0], [2.0], [3.0]])
+    np.testing.assert_allclose(np.sum((offset / [[0.1], [0.2], [0.3]]) ** 2, axis=0), 1.0)
+
+
+@pytest.mark.parametrize("step", [(0.0, 0.0, 0.3), (0.3, 0.0, 0.0)])
+def test_a_robot_is_larger_than_a_third_of_its_place_whatever_its_shape(step: tuple[float, ...]) -> None:
+    bodies = [
+        replace(
+            body,
+            origin=k * np.array(step),
+            parent_origin=(k - 1) * np.array(step) if k else None,
+            prior=replace(body.prior, centre=k * np.array(step), semi_axes=np.full(3, 0.05)),
+            identified=replace(body.identified, centre=k * np.array(step), semi_axes=np.full(3, 0.05)),
+        )
+        for k, body in enumerate(chain(6))
+    ]
+    figure = drawn(bodies, [])
+    FigureCanvasAgg(figure).draw()
+    robot = space(figure)
+    ends = np.array([body.origin for body in bodies])
+    pixels = np.array([robot.transData.transform(proj3d.proj_transform(*end, robot.get_proj())[:2]) for end in ends])
+    inches = np.ptp(pixels, axis=0) / pictures.DPI
+    assert np.max(inches) > 0.5 * np.max(pictures.ROBOT[2:])
+    assert np.all(inches < pictures.ROBOT[2:])
+
+
+def test_a_body_that_is_too_far_to_draw_is_named_with_its_reach() -> None:
     bodies = chain(3)
     bodies[1] = replace(bodies[1], identified=replace(bodies[1].identified, centre=np.array([7.0, 0.0, 0.3])))
-    assert "Not wholly shown: 2 identified, reaches 7.14 m from its link's frame." in texts(drawn(bodies, []))
-    assert not any("Not wholly shown" in text for text in texts(drawn(chain(3), [])))
+    assert "Not shown: 2 identified, reaches 7.14 m from its link's frame." in texts(drawn(bodies, []))
+    assert not any("Not shown" in text for text in texts(drawn(chain(3), [])))
 
 
 def test_reasons_for_doubt_are_below_the_title_and_no_text_shows_an_escaped_line_end() -> None:
