@@ -15,7 +15,6 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.fit import JointFit
 from geomid_ros.inference.prior import GAIN, Prior
 from geomid_ros.inference.selection import Selection
-from geomid_ros.model.columns import Column, column_of
 from geomid_ros.model.effects import (
     DEFAULT_EFFECTS,
     EFFECTS,
@@ -32,7 +31,7 @@ from geomid_ros.model.effects import (
 )
 from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement_model import MeasurementModel
-from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN
+from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Column, column_of
 from geomid_ros.types import FloatArray
 
 ODDS = 0.01

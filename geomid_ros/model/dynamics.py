@@ -9,12 +9,11 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from geomid_ros.model.columns import entries_of
 from geomid_ros.model.effects import LoadEffect, Motion, MotionEffect, Place, joint_of
 from geomid_ros.model.effects.situation import Sensitivity
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import SIGN, Samples
+from geomid_ros.model.samples import SIGN, Samples, entries_of
 from geomid_ros.types import FloatArray, frozen
 
 STEP = 1e-5

@@ -19,11 +19,20 @@ from geomid_ros.errors import InputError, check_name
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.channels import AXES, BASE, WORLD_FRAMES, Channel, ChannelLayout, WrenchSensor
 from geomid_ros.model.coefficients import Coefficient, EffectPlaces, Mechanism
-from geomid_ros.model.columns import Column, Entries, affected_joints, column_of, entries_of
 from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, SensorEffect, joint_of
 from geomid_ros.model.moving_base import Contact, Legs
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
+from geomid_ros.model.samples import (
+    REST,
+    SIGN,
+    SMOOTH_SIGN,
+    Column,
+    Entries,
+    Samples,
+    affected_joints,
+    column_of,
+    entries_of,
+)
 from geomid_ros.types import FloatArray, IntArray
 
 

@@ -31,7 +31,7 @@ from geomid_ros.ros.controller import TrajectoryController, find_controller
 from geomid_ros.ros.inputs import DATA
 from geomid_ros.ros.outputs import latched
 from geomid_ros.ros.startup import PATIENCE, POLL, running_node
-from geomid_ros.session.collision_scene import collision_model, not_watched, without_touching
+from geomid_ros.session.excitation import collision_model, not_watched, without_touching
 from geomid_ros.session.options import RunOptions
 from geomid_ros.signals.messages import JOINT_STATES, parse
 from geomid_ros.simulation.bag import BagWriter

@@ -28,12 +28,11 @@ from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import with_absolute_files, with_effects, with_inertials
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.model.alike_parts import alike_parts, alike_sentences
-from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import PDController
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import Column, Samples
 from geomid_ros.model.urdf_tree import parse
 from geomid_ros.monitoring.payload_watch import WatchMemory
 from geomid_ros.session.configuration import Configuration, naming

@@ -16,11 +16,10 @@ from itertools import repeat
 import numpy as np
 
 from geomid_ros.errors import InputError, check_name
-from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import PDController
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import ImuMount
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import Column, Samples
 from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import SILENT, JointReader, JointStateMerger, LockedJoints, Part
 from geomid_ros.signals.ledger import Ledger

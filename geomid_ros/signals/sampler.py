@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.columns import Column, Entries, PlacedColumn
 from geomid_ros.model.controller import PDController
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import ImuMount
-from geomid_ros.model.samples import SAMPLES_PER_PIECE, Samples
+from geomid_ros.model.samples import SAMPLES_PER_PIECE, Column, Entries, PlacedColumn, Samples
 from geomid_ros.signals.clocks import FEWEST, FEWEST_IN_BURSTS, MotionClock, RegularClock, VelocityCheck, in_bursts
 from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, Reason, driver_error

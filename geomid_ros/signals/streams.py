@@ -14,8 +14,8 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from geomid_ros.model import se3
-from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import JointEffect, Motion
+from geomid_ros.model.samples import Entries
 from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
 from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MEAN_STEPS, SAMPLES_PER_CUTOFF_PERIOD

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from geomid_ros.model.columns import Entries, JointColumn
 from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.effects import Motion as WithPast
 from geomid_ros.model.effects.friction import (
@@ -19,7 +18,7 @@ from geomid_ros.model.effects.friction import (
 )
 from geomid_ros.model.effects.situation import AtJoint
 from geomid_ros.model.measurement_model import MeasurementModel
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import Entries, JointColumn, Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.types import FloatArray
 

@@ -16,7 +16,7 @@ from geomid_ros.excitation.approach import ApproachPath
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.model.collision import CollisionModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.session.collision_scene import collision_model
+from geomid_ros.session.excitation import collision_model
 from geomid_ros.session.options import Surroundings
 from geomid_ros.types import FloatArray
 

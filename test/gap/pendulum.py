@@ -13,11 +13,10 @@ from model.robots import fixed_base
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
-from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import Entries, Samples
 from geomid_ros.types import FloatArray
 
 _URDF = """

@@ -17,11 +17,10 @@ from model.robots import fixed_base
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.inference.prior import Prior
-from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import Entries, Samples
 from geomid_ros.types import FloatArray
 
 BAGS = Path(__file__).parents[2] / "bags"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.inference import rao_score
+from geomid_ros.inference import selection
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit
 from geomid_ros.inference.prior import Prior
@@ -38,10 +38,10 @@ def test_a_limb_s_score_tests_are_those_beside_all_parameters(monkeypatch: pytes
     rng = np.random.default_rng(3)
     design = Design.of([channel(rng, 0), channel(rng, 1)], 20)
     current = fit(design, PRIOR, [NAMES[0]])
-    assert np.unique(rao_score._limbs(current)).tolist() == [0, 10]
-    limbs = rao_score.score_tests(design, current, NAMES[1:])
-    monkeypatch.setattr(rao_score, "_limbs", whole)
-    for own, dense in zip(limbs, rao_score.score_tests(design, current, NAMES[1:]), strict=True):
+    assert np.unique(selection._limbs(current)).tolist() == [0, 10]
+    limbs = selection.score_tests(design, current, NAMES[1:])
+    monkeypatch.setattr(selection, "_limbs", whole)
+    for own, dense in zip(limbs, selection.score_tests(design, current, NAMES[1:]), strict=True):
         assert own.candidate is dense.candidate
         assert own.gain == pytest.approx(dense.gain, rel=1e-8)
         assert own.separability == pytest.approx(dense.separability, rel=1e-8)

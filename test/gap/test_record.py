@@ -10,7 +10,6 @@ import pytest
 from model.robots import fixed_base
 
 from geomid_ros.gap.evidence.records import Records, TotalModel
-from geomid_ros.model.columns import Entries, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
 from geomid_ros.model.effects.drive import RotorInertia
 from geomid_ros.model.effects.effect import JointMotion, PairEffect
@@ -18,7 +17,7 @@ from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
 from geomid_ros.model.effects.mounting import GravityTilt
 from geomid_ros.model.effects.sensor_errors import EffortDelay, EffortGain
 from geomid_ros.model.effects.situation import Place
-from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
+from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Entries, JointColumn, Samples
 from geomid_ros.types import FloatArray
 
 from . import planted

@@ -19,9 +19,8 @@ from geomid_ros.inference import prior as before
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
 from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
-from geomid_ros.inference.rao_score import ScoreTest, score_tests
 from geomid_ros.inference.remainder import DEFAULT_VARIANCE
-from geomid_ros.inference.selection import Selection
+from geomid_ros.inference.selection import ScoreTest, Selection, score_tests
 from geomid_ros.model.effects import AtSensor
 from geomid_ros.model.effects.sensor_errors import WrenchOffset
 from geomid_ros.types import FloatArray

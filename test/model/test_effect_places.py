@@ -11,7 +11,6 @@ import pytest
 from new_effects.coaxial_friction import CoaxialFriction
 from new_effects.supply_sag import SupplySag
 
-from geomid_ros.model.columns import Column, Entries, JointColumn, PlacedColumn, affected_joints
 from geomid_ros.model.effects import EFFECTS, AtJoint, AtJoints, Effect, Motion, OnRobot, identifiable
 from geomid_ros.model.effects.drive import (
     CROSSINGS,
@@ -27,7 +26,7 @@ from geomid_ros.model.effects.sensor_errors import EffortGain
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import Column, Entries, JointColumn, PlacedColumn, Samples, affected_joints
 from geomid_ros.types import FloatArray
 
 from .robots import fixed_base, urdf

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from estimation.arms import arm
 
-from geomid_ros.model.columns import Entries, JointColumn, PlacedColumn
 from geomid_ros.model.effects import AtJoints
 from geomid_ros.model.effects.drive import CoupledViscousFriction
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
-from geomid_ros.model.samples import REGIMES, Samples, moves_one_way, regimes
+from geomid_ros.model.samples import REGIMES, Entries, JointColumn, PlacedColumn, Samples, moves_one_way, regimes
 from geomid_ros.types import FloatArray
 
 PERIOD = 10_000_000  # [ns]

@@ -10,11 +10,10 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.channels import AXES, WrenchSensor
-from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import identified_effect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import Entries, Samples
 from geomid_ros.types import FloatArray
 
 from .robots import Reference, part_after, random_parameters, random_samples, urdf, with_values

@@ -10,9 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.columns import Column
 from geomid_ros.model.robot import Joint
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import Column, Samples
 from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.messages import Block
 from geomid_ros.signals.pipeline import SignalPipeline

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.columns import JointColumn
 from geomid_ros.model.effects.drive import RotorInertia, Spring
 from geomid_ros.model.effects.friction import DISTANCES, CoulombFriction, Presliding, ViscousFriction
 from geomid_ros.model.effects.sensor_errors import EffortOffset
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import JointColumn, Samples
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
