@@ -36,6 +36,7 @@ from geomid_ros.files.models.urdf import for_drake, for_gazebo, with_effects
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.se3 import best_rotation
 from geomid_ros.model.urdf_tree import MOST_URDF_BYTES, masters
 from geomid_ros.resimulation.written_robot import CompiledMjcf, compile_mjcf
 from geomid_ros.types import FloatArray
@@ -339,15 +340,13 @@ def _urdf_axes(model: ExportModel, names: Iterable[str]) -> dict[str, FloatArray
 
 
 def _fitted(axes: Mapping[str, FloatArray], seen: Mapping[str, FloatArray]) -> FloatArray:
-    """Least-squares rigid motion from lines ``axes`` to lines ``seen``: the rotation of the directions (Kabsch), then
-    the translation perpendicular to them."""
+    """Least-squares rigid motion from lines ``axes`` to lines ``seen``: the rotation of the directions, then the
+    translation perpendicular to them."""
     base = np.eye(4)
     if not axes:
         return base
     source, target = (np.array([lines[name] for name in axes]) for lines in (axes, seen))
-    u, _, vt = np.linalg.svd(target[:, 1].T @ source[:, 1])
-    mirror = np.diag([1.0, 1.0, np.linalg.det(u @ vt)])
-    base[:3, :3] = u @ mirror @ vt
+    base[:3, :3], _ = best_rotation(target[:, 1].T @ source[:, 1])
     across = np.eye(3) - target[:, 1, :, None] * target[:, 1, None, :]
     shifts = np.einsum("nij,nj->ni", across, target[:, 0] - source[:, 0] @ base[:3, :3].T)
     base[:3, 3] = np.linalg.lstsq(across.reshape(-1, 3), shifts.ravel(), rcond=None)[0]

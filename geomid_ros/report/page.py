@@ -137,15 +137,11 @@ class Bars:
 _ROUND = np.array([1.0, 2.0, 2.5, 5.0, 10.0])
 
 
-def round_step(least: float) -> float:
-    """Smallest round number that is not less than ``least``."""
-    power = 10.0 ** np.floor(np.log10(least))
-    return float(power * _ROUND[np.searchsorted(_ROUND, 0.999 * least / power)])
-
-
 def ticks(low: float, high: float, most: int) -> list[float]:
     """Round numbers at equal distances between two ends, at most ``most`` intervals."""
-    step = round_step((high - low) / most)
+    least = (high - low) / most
+    power = 10.0 ** np.floor(np.log10(least))
+    step = power * _ROUND[np.searchsorted(_ROUND, 0.999 * least / power)]
     multiples = np.arange(np.ceil(low / step), np.floor(high / step) + 1.0)
     values: list[float] = (step * multiples + 0.0).tolist()  # + 0: zero has no sign
     return values
