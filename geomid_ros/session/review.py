@@ -318,7 +318,7 @@ class Review:
         )
 
     def _changes(self) -> tuple[RecordingFault, ...]:
-        """What changed between sound recordings: those that were fitted, and others that were only evaluated on."""
+        """Changes between sound recordings: those that were fitted, and others that were only evaluated on."""
         if self.findings:
             return ()
         return tuple(change for later in self._sound for change in self.check.changes_until(later))
