@@ -340,8 +340,8 @@ class EffortData:
         at_rest, axes = [np.zeros_like(rates) for rates in motion], STANDARD_GRAVITY * np.eye(3)
         by_gravity = (self._rows(self.robot.with_gravity(axis), positions, *at_rest) for axis in axes)
         columns = np.stack([self.link_efforts(parameters, rows) for rows in by_gravity], axis=2)
-        alone = Unknowns.of(columns, self.friction, self.sticking)
-        unknowns = alone if found is None else self.unknowns.with_errors(columns)
+        unknowns = Unknowns.of(columns, self.friction) if found is None else self.unknowns.with_errors(columns)
+        unknowns = replace(unknowns, sticking=np.zeros(self.measured.shape))  # gravity at rest would pass for stiction
         errors = evidence(self.target, unknowns, self.tolerated, units=self.measured_std).link_errors
         return np.asarray(self.robot.gravity + STANDARD_GRAVITY * errors[-3:])
 
