@@ -247,7 +247,7 @@ class EffortData:
 
     @property
     def sticking(self) -> FloatArray:
-        """1 for the samples at which a joint does not move fast enough to overcome its stiction ``(N, C)``."""
+        """Samples ``(N, C)`` at which a joint is too slow to overcome its stiction: 1 there, 0 at others."""
         return (~moving(self.friction[:, :, 1])).astype(np.float64)
 
     @cached_property

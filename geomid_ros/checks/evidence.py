@@ -125,7 +125,7 @@ class Unknowns:
 
     @property
     def parts(self) -> FloatArray:
-        """1 for the samples of each channel in motion, and for those at which its joint sticks ``(2, N, C)``."""
+        """Samples ``(2, N, C)`` of each channel in motion, and where its joint sticks: 1 there, 0 at others."""
         return np.stack([1.0 - self.sticking, self.sticking])
 
     @cached_property
