@@ -359,9 +359,8 @@ class MeasurementModel:
             loads, signs = self._loads(samples, bodies), samples.column(SIGN)
             for parameter, effect, joint in self._of_loads:
                 coefficients[:, joint, parameter] = effect.column(loads[:, joint], signs[:, joint])
-        for of_sensor, place, (parameters, indices) in self._of_sensors:
-            columns = of_sensor.columns(samples.motion, self._axes(place))[:, :, indices]
-            coefficients[:, np.array(self._reached(place))[:, None], parameters] = columns
+        for of_sensor, axes, channels, (parameters, indices) in self._of_sensors:
+            coefficients[:, channels, parameters] = of_sensor.columns(samples.motion, axes)[:, :, indices]
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
@@ -400,13 +399,17 @@ class MeasurementModel:
         return [(p, c.effect, joint_of(c.place)) for p, c in self._numbered if isinstance(c.effect, LoadEffect)]
 
     @cached_property
-    def _of_sensors(self) -> list[tuple[SensorEffect, Place, IntArray]]:
-        """Each effect of a sensor, its place, and the parameters and indices of its coefficients ``(2, k)``."""
+    def _of_sensors(self) -> list[tuple[SensorEffect, list[str], IntArray, IntArray]]:
+        """Each effect of a sensor: its axes, their channels ``(axes, 1)``, and parameters and indices ``(2, k)`` of its
+        coefficients."""
         numbers: dict[tuple[SensorEffect, Place], list[tuple[int, int]]] = {}
         for parameter, c in self._numbered:
             if isinstance(c.effect, SensorEffect):
                 numbers.setdefault((c.effect, c.place), []).append((parameter, c.index))
-        return [(effect, place, np.array(pairs).T) for (effect, place), pairs in numbers.items()]
+        return [
+            (effect, self._axes(place), np.array(self._reached(place))[:, None], np.array(pairs).T)
+            for (effect, place), pairs in numbers.items()
+        ]
 
     def _axes(self, place: Place) -> list[str]:
         """Return the axes of a place at a sensor."""

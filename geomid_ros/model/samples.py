@@ -264,10 +264,7 @@ class Samples:
 
     def in_pieces(self) -> Iterator[Samples]:
         """Yield pieces of at most :data:`SAMPLES_PER_PIECE` samples, to limit memory; at least one, perhaps empty."""
-        if len(self) <= SAMPLES_PER_PIECE:
-            yield self
-            return
-        for begin in range(0, len(self), SAMPLES_PER_PIECE):
+        for begin in range(0, max(len(self), 1), SAMPLES_PER_PIECE):
             yield self.select(slice(begin, begin + SAMPLES_PER_PIECE))
 
     def with_columns(self, chosen: Collection[Column]) -> Samples:
