@@ -96,6 +96,17 @@ def test_what_is_appended_is_there_until_it_is_dropped() -> None:
         assert (values.first, values.end) == (first, end)
 
 
+def test_what_is_there_is_seldom_copied() -> None:
+    """Though one is appended and one dropped each time."""
+    values, copies = GridValues(), 0
+    for end in range(1000):
+        before = values.values
+        values.extend(end, np.zeros((1, 2)))
+        values.drop_before(end - 100)
+        copies += not np.shares_memory(before, values.values)
+    assert copies < 100
+
+
 def test_rows_that_are_asked_for_are_those_of_the_whole() -> None:
     """At the ends, too, beyond which the outermost values go on."""
     values = np.random.default_rng(0).normal(size=(200, 3))
