@@ -8,8 +8,7 @@ less is known of its dry friction. With C channels, group ``C r + c`` is channel
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import chain, cycle
@@ -75,7 +74,8 @@ class RowSummary:
     """
 
     # Rows wait until there are this many: one QR of many rows costs less than one QR per row.
-    _most_waiting = 128
+    _CHUNK = 128
+    _waits = False  # True if all rows wait until they are asked for
 
     def __init__(
         self,
@@ -151,13 +151,16 @@ class RowSummary:
                 chosen = begin + np.flatnonzero(in_group[begin:end, index])
                 rows = coefficients[chosen[:, None], channel, self.channels[channel].columns]
                 fold[index].waiting.append(np.column_stack([rows, targets[chosen, channel], times[chosen]]))
+                if self._waits:
+                    continue
                 # Limits differ, or channels with equally many rows would all need a QR at the same sample.
-                limit = self._most_waiting + index
-                for rest in range(fold[index].waiting_rows - limit, -1, -limit):
-                    fold[index].absorb(limit, float(times[chosen[-1 - rest]]), self._forgetting_time)
-                    self._factors = None
+                limit = self._CHUNK + index
+                for rest in range(fold[index].waiting_rows - limit + 1, 0, -limit):
+                    fold[index].absorb(limit, float(times[chosen[-rest]]), self._forgetting_time)
             self._instants += end - begin
             self._time = float(times[end - 1])
+            if self._instants % self._block == 0 and not self._waits:
+                self._absorb_all(fold)  # once, and not in every copy
             begin = end
 
     def make_room(self, instants: int) -> None:
@@ -173,10 +176,13 @@ class RowSummary:
     def _complete_summaries(self) -> list[list[ChannelSummary]]:
         """Summaries of all groups, per fold, including all rows added so far."""
         if not self._complete:
-            for part in chain(*self._summaries):
-                part.absorb(part.waiting_rows, self._time, self._forgetting_time)
+            self._absorb_all(chain(*self._summaries))
             self._complete, self._factors = True, None
         return self._summaries
+
+    def _absorb_all(self, parts: Iterable[ChannelSummary]) -> None:
+        for part in parts:
+            part.absorb(part.waiting_rows, self._time, self._forgetting_time)
 
     def parts(self) -> list[tuple[ChannelSummary, ...]]:
         """Summaries of all folds, per group, including all rows added so far."""
@@ -243,7 +249,7 @@ class RowSummary:
     def snapshot(self) -> RowSummary:
         """Copy that later additions do not change. Its rows wait until they are asked for, also those added to it."""
         snapshot: RowSummary = copy(self)
-        snapshot._most_waiting = sys.maxsize
+        snapshot._waits = True
         snapshot._summaries = [[part.copy() for part in fold] for fold in self._summaries]
         return snapshot
 

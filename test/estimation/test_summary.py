@@ -178,7 +178,7 @@ def test_memory_is_bounded() -> None:
         for one in map(slice, range(400), range(1, 401)):
             found.add(coefficients[one], targets[one])
             most = max(most, sum(part.waiting_rows for fold in found._summaries for part in fold))
-    assert most < 2 * len(CHANNELS) * RowSummary._most_waiting
+    assert most < 2 * len(CHANNELS) * RowSummary._CHUNK
     for channel, parts in zip(found.groups, found.parts(), strict=True):
         for part in parts:
             columns = len(channel.columns) + 1
@@ -232,6 +232,13 @@ def test_a_snapshot_leaves_to_its_reader_what_waits() -> None:
     assert waiting(copy) == before + copy.rows - found.rows
     content(copy, x)
     assert (waiting(copy), waiting(found)) == (0, before)
+
+
+def test_a_fold_that_is_full_waits_for_nothing() -> None:
+    """Its rows would be decomposed again in every copy."""
+    found = summary(*rows(5, 90), block=20)
+    waiting = [sum(part.waiting_rows for part in fold) for fold in found._summaries]
+    assert [bool(rows) for rows in waiting] == [False] * 4 + [True] + [False] * (len(waiting) - 5)
 
 
 def test_a_fold_that_lacks_a_group_is_refused() -> None:
