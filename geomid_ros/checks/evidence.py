@@ -42,7 +42,7 @@ class Evidence:
     Attributes:
         log_evidence: the log evidence.
         sigmas: ``(C,)`` of the residuals in motion, in standard deviations of the measured channels.
-        sticking_sigmas: ``(C,)`` those where a joint sticks, which include its dry friction.
+        sticking_sigmas: ``(C,)`` those where a joint sticks, but no smaller ones.
         link_errors: ``(r,)`` the links' errors.
         friction: ``(C, 5)`` its coefficients, in standard deviations of the measured channels.
         precision: ``(r + C k, r + C k)`` of the links' errors and the channels' separate coefficients; 1 for those
@@ -198,7 +198,8 @@ def evidence(
         mean, posterior, fixed = _solve_bounded(total[:-1, :-1], total[:-1, -1], bounded, fixed)
         squares = np.maximum(sums.squares(np.append(mean, -1.0)), 0.0).reshape(counts.shape)
         friction = mean[rank:].reshape(tolerated.shape)[:, -FRICTION:]
-        previous, sigmas = sigmas, _sigmas(squares, counts, np.maximum(np.sum(friction[:, 2:4], axis=1), 0.0), least)
+        dry = np.maximum(np.sum(friction[:, 2:4], axis=1), 0.0)
+        previous, sigmas = sigmas, _sigmas(squares, counts, dry, least, sigmas)
         if np.all(np.abs(np.log(sigmas / previous)) < _SETTLED):
             break
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
@@ -207,28 +208,29 @@ def evidence(
     return Evidence(
         log_evidence=-0.5 * (weighted + noise + log_determinant),
         sigmas=sigmas[0],
-        sticking_sigmas=sigmas[1],
+        sticking_sigmas=np.maximum(np.sqrt(squares[1] / np.maximum(counts[1], 1.0)), sigmas[0]),
         link_errors=mean[:rank],
         friction=friction,
         precision=posterior,
     )
 
 
-def _sigmas(squares: FloatArray, counts: FloatArray, dry: FloatArray, least: float) -> FloatArray:
-    """Standard deviations of the noise ``(2, C)``, in motion and where joints stick: there their dry friction is a part
-    of it, of any variance up to the square of ``dry (C,)``.
+def _sigmas(squares: FloatArray, counts: FloatArray, dry: FloatArray, least: float, before: FloatArray) -> FloatArray:
+    """Standard deviations of the noise ``(2, C)``, in motion and where joints stick: there it includes their dry
+    friction, which has any value up to its level of either sign, with equal probability.
 
     Args:
         squares: ``(2, C)`` sums of the squared residuals, in motion and where joints stick.
         counts: ``(2, C)`` numbers of these samples.
-        dry: ``(C,)`` dry friction.
+        dry: ``(C,)`` level of dry friction; unknown where a joint does not move.
         least: smallest variance.
+        before: ``(2, C)`` the standard deviations of the last round, which weight the samples.
     """
-    variances = squares / np.maximum(counts, 1.0)
-    excess = np.where(counts[0] > 0.0, np.clip(variances[1] - variances[0], 0.0, dry**2), 0.0)
-    common = (np.sum(squares, axis=0) - counts[1] * excess) / np.maximum(np.sum(counts, axis=0), 1.0)
+    sticking = np.where(counts[0] > 0.0, dry**2 / 3.0, 0.0)
+    share = before[0] ** 2 / (before[0] ** 2 + sticking)
+    common = (squares[0] + share**2 * squares[1]) / np.maximum(counts[0] + share * counts[1], 1.0)
     common = np.maximum(common, least)
-    return np.asarray(np.sqrt([common, common + excess]))
+    return np.asarray(np.sqrt([common, common + sticking]))
 
 
 def _solve_bounded(

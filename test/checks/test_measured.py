@@ -67,7 +67,10 @@ def test_a_robot_on_its_side_of_which_nobody_says_so() -> None:
     assert finding.cause.settings["gravity"] == pytest.approx([9.81, -0.17, -0.17], abs=0.1)
 
 
-@pytest.mark.parametrize("configured", [(6.5, -2.44, -6.94), (9.19, -3.44, 0.0)])
+@pytest.mark.parametrize(
+    "configured",
+    [(6.94, 0.0, -6.94), (0.0, 6.94, -6.94), (-6.94, 0.0, -6.94), (0.0, -6.94, -6.94), (9.19, -3.44, 0.0)],
+)
 def test_gravity_is_fitted_together_with_links_that_are_far_from_the_urdf(configured: tuple[float, ...]) -> None:
     (finding,) = findings("kuka_kr300/kr300.urdf", "kuka_kr300/FF_B", {"gravity": configured})
     assert finding.sure
