@@ -277,8 +277,10 @@ class Identifier:
         return _with(settled, buffered)
 
     def memory(self) -> Memory:
-        """Copy of the state for :meth:`restore`."""
+        """Copy of the state for :meth:`restore`. What is added later has the same effect here and there, to the last
+        bit: no rows wait here, either."""
         with self._lock:
+            self._summary.absorb()
             settled, buffered = self._summary.snapshot(), self._recent.instants
             rejected, pose, stamp = self._rejected + self._recent.rejected, self._last_pose, self._last_stamp
         return Memory(_with(settled, buffered).state(), rejected, pose, stamp)

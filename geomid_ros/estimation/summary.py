@@ -173,6 +173,10 @@ class RowSummary:
             self._block *= 2
             self._complete = False
 
+    def absorb(self) -> None:
+        """Absorb all rows that wait."""
+        self._complete_summaries()
+
     def _complete_summaries(self) -> list[list[ChannelSummary]]:
         """Summaries of all groups, per fold, including all rows added so far."""
         if not self._complete:

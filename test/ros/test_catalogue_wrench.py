@@ -83,7 +83,7 @@ def test_40_a_sensor_that_drifts_is_named(direct: Direct) -> None:
     samples = direct.twin.samples(messages)
     made = len(samples) * len(direct.twin.session.model.channels)
     assert rows["accepted"] + sum(rows["rejected"].values()) == made, "all messages have come"
-    since = Twin().session.identifier.add(samples)[0][-left_out // AXES]
+    since = samples.stamps[Twin().session.identifier.add(samples)[0]][-left_out // AXES]
     direct.twin.session.identifier.add(silenced(samples, since))
     direct.assert_same_as_twin()
     spared = Twin().samples(rounds[0] + rounds[1] + rounds[2])
