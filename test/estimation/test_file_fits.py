@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.estimation import effect_selection
+from geomid_ros.estimation import effect_selection, estimator
 from geomid_ros.estimation.effect_selection import file_fit, fit_files, held_columns
 from geomid_ros.estimation.fit import fit
 from geomid_ros.estimation.objective import ResidualObjective
@@ -193,6 +193,24 @@ def test_an_error_of_a_sensor_is_significant_beside_a_file() -> None:
     offsets = [effect for effect in found.effects if effect.name == "effort_offset"]
     assert all(offset.value > 10.0 * offset.std for offset in offsets)
     np.testing.assert_array_equal(found.within["urdf"][_offsets(case)] == 0.0, [False, False, True])
+
+
+def test_errors_that_are_unsure_in_the_estimate_are_left_out_of_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first joint has none."""
+    case = arm("arm3", 0)
+    some = Truth(case.true.links, {**case.true.effects, "effort_offset": np.array([0.0, 1.0, 1.0])})
+    clean = efforts(case.model.robot, some, case.samples)
+    noise, left_out = 0.05 * np.random.default_rng(0).normal(size=clean.shape), []
+    monkeypatch.setattr(estimator, "fit_files", lambda *given: left_out.append(given[3]) or {})
+    solved(case.with_efforts(clean + noise), files=URDF)
+    np.testing.assert_array_equal(left_out, [_offsets(case)[:1]])
+
+
+def test_files_are_fitted_by_residuals_whatever_the_objective(monkeypatch: pytest.MonkeyPatch) -> None:
+    built, build = [], estimator._geodesic_objective
+    monkeypatch.setattr(estimator, "_geodesic_objective", lambda fitted: built.append(fitted) or build(fitted))
+    solved(arm("arm3", 0, seconds=4.0), files=URDF, objective="geodesic")
+    assert len(built) == 1, "that of the estimate"
 
 
 def _with(case: Case, motion: dict[str, FloatArray], effort: FloatArray | None = None) -> Samples:
