@@ -201,6 +201,8 @@ def _change(channel: Series) -> str:
 MOST_ROWS = 30  # of the link table
 
 _TABLE_WIDTH, _ROW, _KEY_HEIGHT = 3.9, 0.28, 1.15  # [inch]
+_ELEVATION = 16.0  # of the view [degrees]
+_TICKS = 0.5  # below the robot, with the axes' names [inch]
 _THINNEST = 1e-3  # smallest semi-axis drawn, as a fraction of the robot's size
 _BADGE = 0.1  # radius of a link's number in the table [inch]
 # For colour-blind readers, the scale darkens steadily.
@@ -249,7 +251,7 @@ def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
     _draw_table(add_area(figure, (column, top, _TABLE_WIDTH, table_height)), bodies)
     _draw_key(figure, (column, top + table_height + 0.3, _TABLE_WIDTH, _KEY_HEIGHT))
     used = table_height + _KEY_HEIGHT + 0.3
-    beside, below = (left, top, column - left - 0.4, height), (left, top + used, width, height - used)
+    beside, below = (left, top, column - left - 0.7, height), (left, top + used, width, height - used)
     _draw_robot(figure, (beside, below), bodies, reach)
 
 
@@ -263,13 +265,16 @@ def _draw_robot(figure: Figure, places: Sequence[AxesRectangle], bodies: Sequenc
     ]
     points = np.vstack([_stick_ends(bodies), *(solid.surface.reshape(3, -1).T for solid, *_ in solids)])
     extent = np.ptp(points, axis=0) + 1e-6
+    wide, elevation = np.hypot(*extent[:2]), np.radians(_ELEVATION)
+    high = np.cos(elevation) * extent[2] + np.sin(elevation) * wide
     scale, (left, top, width, height) = max(
-        (min(place[2] / np.hypot(*extent[:2]), place[3] / extent[2]), place) for place in places
+        (min(width / wide, (height - _TICKS) / high), (left, top, width, height - _TICKS))
+        for left, top, width, height in places
     )
     side = float(scale * np.linalg.norm(extent))  # axes in space are square, with the diagonal of their contents
     square = (left + 0.5 * (width - side), top + 0.5 * (height - side), side, side)
     with rc_context({"grid.color": GRID}):
-        axes: Any = add_axes(figure, square, projection="3d", proj_type="ortho", elev=16.0, azim=-60.0)
+        axes: Any = add_axes(figure, square, projection="3d", proj_type="ortho", elev=_ELEVATION, azim=-60.0)
     for solid, is_prior, color in solids:
         if is_prior:
             solid.draw_wires(axes, URDF)

@@ -184,7 +184,7 @@ def frame_space(axes: Any, points: FloatArray) -> None:
     axes.tick_params(labelsize=8.5, labelcolor=FAINT)
     for axis, name in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", strict=True):
         axis.set_label_text(f"{name} [m]", size=8.5, color=FAINT)
-        axis.labelpad = -2.0
+        axis.labelpad = 3.0
         axis.set_pane_color("none")
         axis.line.set_color(FRAME)
         axis.set_major_locator(MaxNLocator(4))
