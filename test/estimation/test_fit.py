@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation import estimator
-from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, with_fitted_effects, with_second_start
+from geomid_ros.estimation.fit import Fit, fit, with_fitted_effects, with_second_start
 from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Solution, trust_region
@@ -165,7 +165,8 @@ def test_a_links_spread_is_its_distance_from_the_prior_and_what_is_unsure_of_it(
     links = manifold.inertial
     squares = manifold.log(prior, found.point)[links] ** 2 + np.sum(vectors**2 / values, axis=1)[links]
     of_links = np.sum(squares.reshape(-1, 10), axis=1)
-    expected = np.sqrt((of_links + CERTAINTY * DEFAULT_PRIOR_STD**2) / (10.0 + CERTAINTY))
+    certainties = found.problem.certainties
+    expected = np.sqrt((of_links + certainties * DEFAULT_PRIOR_STD**2) / (10.0 + certainties))
     np.testing.assert_allclose(found.prior_stds, expected, rtol=1e-5)
 
 
@@ -185,7 +186,7 @@ def test_the_score_is_the_density_of_what_was_measured() -> None:
     off = left - tangent @ manifold.log(found.point, prior)
     density = np.linalg.slogdet(covariance)[1] + off @ np.linalg.solve(covariance, off)
     wide = found.prior_stds / DEFAULT_PRIOR_STD
-    expected = density + CERTAINTY * np.sum(wide**-2.0 + 2.0 * np.log(wide))
+    expected = density + found.problem.certainties @ (wide**-2.0 + 2.0 * np.log(wide))
     assert found.score == pytest.approx(expected, abs=0.05)
 
 
