@@ -101,7 +101,7 @@ def judged(seed: int) -> Iterator[Number]:
 
 
 def _known(link: LinkEstimate) -> list[bool]:
-    moments = (axis in link.moments and not link.outlier for axis in "xyz")
+    moments = (axis in link.moments for axis in "xyz")
     return [*(name in link.identified for name in QUANTITIES), *moments]
 
 

@@ -150,7 +150,7 @@ class LinkEstimate(UncertainInertia):
         name: Name of the link.
         distance_from_prior: Geodesic distance from the prior.
         min_eigenvalue_ratio: Smallest eigenvalue of ``P0^-1/2 P P0^-1/2``.
-        moments: Axes along which the first moment is identified.
+        moments: Axes along which the first moment is identified; none for an outlier.
         std_doubted: Standard deviations ``(13,)`` of quantities and first moments, for enlarged prior errors.
         std_prior: Standard deviations ``(13,)`` in the prior, or in the default prior where these are smaller.
         outlier: True if it left its prior by far more than links usually do: it has a payload, or absorbs an unmodelled

@@ -48,7 +48,7 @@ def links(
                 from_data=found.from_data(block),
                 min_eigenvalue_ratio=float(ratios[index]),
                 cannot_tell=tuple(compress(QUANTITIES, ~is_identified[:10])),
-                moments=tuple(compress("xyz", is_identified[10:])),
+                moments=tuple(compress("xyz", is_identified[10:] & ~outliers[index])),
                 std_doubted=frozen(doubted),
                 std_prior=frozen(prior_std),
                 outlier=bool(outliers[index]),

@@ -223,7 +223,7 @@ def _span(ratios: Iterable[float]) -> str:
 def identified(links: Sequence[LinkEstimate]) -> list[str]:
     """List the identified quantities of links, in sentences."""
     masses = [link.name for link in links if "mass" in link.identified]
-    moments = [_of_axes(link) for link in links if link.moments and not link.outlier]
+    moments = [_of_axes(link) for link in links if link.moments]
     inertias = [link.name for link in links if {*QUANTITIES[4:]} <= {*link.identified}]
     groups = {"mass": masses, "first moment": moments, "inertia": inertias}
     named = [f"{quantity} of {', '.join(names)}" for quantity, names in groups.items() if names]
