@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -83,6 +83,17 @@ class CoefficientRows:
         return columns_of
 
     @cached_property
+    def _causes(self) -> dict[Hashable, list[int]]:
+        columns_of: dict[Hashable, list[int]] = {}
+        for column in range(self.first_column, self.size):
+            columns_of.setdefault(self.coefficient(column).cause, []).append(column)
+        return columns_of
+
+    def of_cause(self, column: int) -> list[int]:
+        """Columns of all coefficients that have the cause of a column's."""
+        return self._causes[self.coefficient(column).cause]
+
+    @cached_property
     def mechanism_numbers(self) -> IntArray:
         """Number ``(D,)`` of each parameter; shapes of one mechanism have the same."""
         numbers = np.arange(self.size)
@@ -115,8 +126,8 @@ class CoefficientRows:
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     def are_plausible(self, columns: IntArray, parameters: FloatArray) -> BoolArray:
-        """True for each optional coefficient among ``columns`` that is in its range, and whose effect does what it
-        stands for given the others at its place, for all ``parameters (D,)``."""
+        """True for each optional coefficient among ``columns`` that is in its range, beside all others of its cause,
+        and whose effect does what it stands for given the others at its place, for all ``parameters (D,)``."""
         chosen = [(column, self.coefficient(column)) for column in np.intersect1d(columns, self.optional).tolist()]
         peers: dict[Place, dict[Effect, float]] = {c.place: {} for _, c in chosen}
         for column in columns[columns >= self.first_column] if chosen else ():
@@ -124,7 +135,12 @@ class CoefficientRows:
             if coefficient.place in peers:
                 peers[coefficient.place][coefficient.effect] = float(parameters[column])
         return np.array(
-            [self.allows(column, parameters[column]) and c.effect.is_supported(peers[c.place]) for column, c in chosen],
+            [
+                self.allows(column, parameters[column])
+                and np.all(parameters[self.of_cause(column)])
+                and c.effect.is_supported(peers[c.place])
+                for column, c in chosen
+            ],
             dtype=np.bool_,
         )
 

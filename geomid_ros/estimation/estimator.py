@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -228,7 +228,8 @@ def _significant(solve: Callable[[IntArray], _Solved], columns: IntArray, may_go
         sizes = _insignificant(solved, may_go)
         if not sizes:
             return solved
-        columns = np.setdiff1d(columns, min(sizes, key=sizes.__getitem__))  # without it, the others may be significant
+        least = min(sizes.values())  # without it, the others may be significant
+        columns = np.setdiff1d(columns, [column for column, size in sizes.items() if size == least])
         del solved  # large
 
 
@@ -272,15 +273,17 @@ def _optional(model: MeasurementModel) -> set[Mechanism]:
 
 
 def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, float]:
-    """Columns of those ``among`` the effects that are not significant, with their sizes in standard deviations."""
+    """Columns of those ``among`` the effects that are not significant, with their sizes in standard deviations: of the
+    least significant of each cause."""
     problem = solved.minimum.fitted.problem
-    coefficients = zip(problem.model.coefficients, solved.minimum.effects, strict=True)
-    sizes = [
-        abs(effect.value) / max(effect.std, np.finfo(float).tiny) if c.mechanism in among else np.inf
-        for c, effect in coefficients
-    ]
-    columns = solved.columns[problem.manifold.inertial.stop :]
-    return {column: size for column, size in zip(columns.tolist(), sizes, strict=True) if size < _TAKEN}
+    causes = [c.cause if c.mechanism in among else None for c in problem.model.coefficients]
+    least = dict[Hashable, float]()
+    for cause, effect in zip(causes, solved.minimum.effects, strict=True):
+        size = abs(effect.value) / max(effect.std, np.finfo(float).tiny)
+        least[cause] = min(size, least.get(cause, np.inf))
+    least[None] = np.inf
+    columns = solved.columns[problem.manifold.inertial.stop :].tolist()
+    return {column: least[cause] for column, cause in zip(columns, causes, strict=True) if least[cause] < _TAKEN}
 
 
 def filtered_fraction(

@@ -39,6 +39,7 @@ SIZES = {
     "coupled_rotor_inertia": 0.2,
 }
 """Of the planted coefficients, in SI units."""
+OF_MOTOR = ("coupled_viscous_friction", "coupled_coulomb_friction", "coupled_rotor_inertia")
 
 
 def sign(speed: FloatArray) -> FloatArray:
@@ -76,11 +77,11 @@ def load(case: Case) -> FloatArray:
 
 
 @cache
-def planted(name: str, joint: int, effect: str, seed: int = 0) -> Case:
-    """An arm with this effect beside the usual ones, whose model may have any of the candidates."""
+def planted(name: str, joint: int, *effects: str, seed: int = 0) -> Case:
+    """An arm with these effects beside the usual ones, whose model may have any of the candidates."""
     case = arm(name, seed, noise=NOISE)
     model = MeasurementModel(case.model.robot, case.effects, candidates=Configuration().candidates)
-    measured = case.samples.effort + (added(effect, joint, case, case.noiseless) if effect else 0.0)
+    measured = case.samples.effort + sum(added(effect, joint, case, case.noiseless) for effect in effects)
     return replace(case.with_efforts(measured), model=model)
 
 
@@ -89,26 +90,32 @@ def chosen(found: Estimate) -> list[EffectEstimate]:
 
 
 @pytest.mark.parametrize(
-    ("name", "joint", "effect"),
+    ("name", "joint", "effects"),
     # Joints 5 and 6 of the large arm are its wrist; no axes of the small one meet.
-    [("arm7", 4, effect) if effect.startswith("coupled") else ("arm3", 1, effect) for effect in DEFAULT_CANDIDATES],
+    [("arm7", 4, OF_MOTOR), *(("arm3", 1, (effect,)) for effect in DEFAULT_CANDIDATES if effect not in OF_MOTOR)],
 )
-def test_a_planted_effect_is_found_where_it_is(name: str, joint: int, effect: str) -> None:
-    case = planted(name, joint, effect)
+def test_planted_effects_are_found_where_they_are(name: str, joint: int, effects: tuple[str, ...]) -> None:
+    case = planted(name, joint, *effects)
     names = [one.name for one in case.model.robot.joints]
-    place = f"{names[joint]}+{names[joint + 1]}" if effect.startswith("coupled") else names[joint]
+    place = f"{names[joint]}+{names[joint + 1]}" if effects == OF_MOTOR else names[joint]
     taken = chosen(solved(case))
+    assert len(taken) <= len(effects) + 1
     found = {(one.name, one.joint): one for one in taken}
-    assert (effect, place) in found
-    assert len(taken) <= 2
-    value = found[effect, place]
-    assert value.value == pytest.approx(SIZES[effect], abs=max(4.0 * value.std, 0.1 * SIZES[effect]))
+    for effect in effects:
+        value = found[effect, place]
+        assert value.value == pytest.approx(SIZES[effect], abs=max(4.0 * value.std, 0.1 * SIZES[effect]))
+
+
+@pytest.mark.parametrize("effect", OF_MOTOR)
+def test_a_motor_turns_two_joints_with_friction_and_inertia_or_not_at_all(effect: str) -> None:
+    """One of its effects alone is something else, whatever its size."""
+    assert not [one.name for one in chosen(solved(planted("arm7", 4, effect))) if one.name in OF_MOTOR]
 
 
 @pytest.mark.parametrize(("stiffness", "is_found"), [(0.012, False), (0.04, True)])
 def test_what_is_significant_must_be_visible_too(stiffness: float, is_found: bool) -> None:
     """The smaller spring is more than three standard deviations from none, but its joint's residual hardly falls."""
-    case = planted("arm3", 1, "")
+    case = planted("arm3", 1)
     change = np.zeros_like(case.samples.effort)
     change[:, 1] = stiffness * case.samples.position[:, 1]
     taken = chosen(solved(case.with_efforts(case.samples.effort + change)))
@@ -117,9 +124,9 @@ def test_what_is_significant_must_be_visible_too(stiffness: float, is_found: boo
 
 def test_the_side_on_which_a_motor_turns_two_joints_is_exact() -> None:
     """What is known of a coupling, and beside it, does not depend on whether it might have been the other side."""
-    case = planted("arm7", 4, "coupled_coulomb_friction")
-    (side,) = (e for e in Configuration().candidates if e == CoupledCoulombFriction(1.0))
-    known = replace(case, model=MeasurementModel(case.model.robot, case.effects, candidates=[side]))
+    case = planted("arm7", 4, *OF_MOTOR)
+    motor = [e for e in Configuration().candidates if e.cause == CoupledCoulombFriction(1.0).cause]
+    known = replace(case, model=MeasurementModel(case.model.robot, case.effects, candidates=motor))
     searched, told = ({(e.name, e.joint): e.std for e in solved(one).effects} for one in (case, known))
     assert searched == pytest.approx(told, rel=0.1)
 
@@ -140,7 +147,7 @@ def test_a_motor_that_turns_parallel_joints_is_told_from_an_inertia_by_the_prior
 @pytest.mark.parametrize("smoothing", [SMOOTHINGS[0], SMOOTHINGS[-1]])
 def test_dry_friction_has_its_shape_and_passes_for_nothing_else(smoothing: float) -> None:
     """It turns within a speed that nobody told; beside it there is no Stribeck friction."""
-    case = planted("arm3", 1, "")
+    case = planted("arm3", 1)
     speeds, levels = case.samples.velocity, case.true.effects["coulomb_friction"] + 1.0
     change = levels * np.tanh(speeds / smoothing) - (levels - 1.0) * np.tanh(speeds / 0.02)
     found = solved(case.with_efforts(case.samples.effort + change))
@@ -153,7 +160,7 @@ def test_dry_friction_has_its_shape_and_passes_for_nothing_else(smoothing: float
 @pytest.mark.parametrize("smoothing", [0.004, 0.03, 0.065, 0.12])
 def test_dry_friction_of_a_shape_that_is_not_tried_passes_for_nothing_else(smoothing: float) -> None:
     """Many times the noise is left of it near rest; in motion its level is found all the same."""
-    case = planted("arm3", 1, "")
+    case = planted("arm3", 1)
     speeds, levels = case.samples.velocity, case.true.effects["coulomb_friction"] + 10.0
     change = levels * np.tanh(speeds / smoothing) - (levels - 10.0) * np.tanh(speeds / 0.02)
     found = solved(case.with_efforts(case.samples.effort + change))
@@ -168,7 +175,7 @@ def smoothing_of(effect: EffectEstimate) -> float:
 
 def test_what_does_not_repeat_is_not_believed() -> None:
     """A spring in a quarter of the recording, large as it is."""
-    case = planted("arm3", 1, "")
+    case = planted("arm3", 1)
     quarter = np.arange(len(case.samples)) < len(case.samples) // 4
     spring = added("spring", 1, case, case.noiseless)
     everywhere = solved(case.with_efforts(case.samples.effort + 0.25 * spring))
@@ -190,7 +197,7 @@ def test_what_no_robot_has_is_not_taken(effect: str, size: float, monkeypatch: p
 def test_hardly_anything_is_taken_where_there_is_nothing() -> None:
     """Three standard deviations are one in 400 for a single candidate by chance."""
     cases = [("arm3", 1, seed) for seed in range(4)] + [("arm7", 3, 0)]
-    taken = [chosen(solved(planted(name, joint, "", seed))) for name, joint, seed in cases]
+    taken = [chosen(solved(planted(name, joint, seed=seed))) for name, joint, seed in cases]
     assert sum(map(len, taken)) <= 1
 
 
@@ -286,7 +293,7 @@ def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_othe
 
 def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_of_them() -> None:
     """As in the fit that follows, roughly; the covariance by its principal directions."""
-    case = planted("arm3", 1, "")
+    case = planted("arm3", 1)
     rows = CoefficientRows(problem(case))
     fitted = rows.fit(columns(case)).fit
     manifold, prior = fitted.objective.manifold, fitted.objective.profile.prior
@@ -301,7 +308,7 @@ def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_
 
 def test_what_remembers_is_judged_at_rest_too_and_nothing_else() -> None:
     """The rows at rest and near reversals are the last group of each channel."""
-    case = planted("arm3", 1, "")
+    case = planted("arm3", 1)
     own = problem(case)
     moving, every = CoefficientRows(own), CoefficientRows(own, at_rest=True)
     names = {rows: {rows.coefficient(column).effect.name for column in rows.optional} for rows in (moving, every)}
@@ -313,7 +320,7 @@ def test_what_remembers_is_judged_at_rest_too_and_nothing_else() -> None:
 
 def test_what_remembers_may_be_visible_where_its_joint_begins_to_move() -> None:
     """Other effects must be visible in fast motion, where they may be at any joint."""
-    own = problem(planted("arm3", 1, ""))
+    own = problem(planted("arm3", 1))
     count = len(own.model.channels)
     groups = np.arange(REGIMES) * count + 1  # fast, slow, rest of a joint
     moving, every = (CoefficientRows(own, at_rest=at_rest).visible(groups) for at_rest in (False, True))
@@ -343,7 +350,7 @@ def test_all_rows_have_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_a_column_promises_is_what_a_fit_with_it_finds() -> None:
     """To first order, its gain in likelihood."""
-    case, effect = planted("arm3", 1, ""), "saturating_friction"
+    case, effect = planted("arm3", 1), "saturating_friction"
     small = replace(
         case, samples=replace(case.samples, effort=case.samples.effort + 0.02 * added(effect, 1, case, case.noiseless))
     )
@@ -356,7 +363,7 @@ def test_what_a_column_promises_is_what_a_fit_with_it_finds() -> None:
 
 
 def test_friction_that_would_drive_is_not_there_in_a_trial() -> None:
-    case, effect = planted("arm3", 1, ""), "saturating_friction"
+    case, effect = planted("arm3", 1), "saturating_friction"
     driven = case.with_efforts(case.samples.effort - 0.02 * added(effect, 1, case, case.noiseless))
     rows, own = CoefficientRows(problem(driven)), columns(driven)
     present, column = rows.fit(own), np.setdiff1d(columns(driven, (effect, 1)), own)
@@ -369,7 +376,7 @@ def test_friction_that_would_drive_is_not_there_in_a_trial() -> None:
 def test_a_trial_is_a_fit_to_second_order(prior_std: float, tied: float) -> None:
     """Its score, for a small effect that is added, and for another shape of one; the links' prior stds are given. A
     prior may tie all parameters to each other."""
-    case = planted("arm3", 1, "")
+    case = planted("arm3", 1)
     small = case.with_efforts(case.samples.effort + 0.02 * added("spring", 1, case, case.noiseless))
     free = problem(small)
     tie = tied / np.append(np.full(free.manifold.inertial.stop, 10.0), free.scales)[None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -232,6 +232,11 @@ class _CoupledMotor(PairEffect):
         return cls(1.0), cls(-1.0)
 
     coarse_grid = grid
+
+    @property
+    def cause(self) -> Hashable:
+        """The motor: whatever it turns, it has friction and inertia."""
+        return _CoupledMotor, self.ratio
 
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
         effort = self.of_motor.column(JointMotion(first.states + self.ratio * second.states))
