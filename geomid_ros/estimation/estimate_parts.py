@@ -70,7 +70,7 @@ def deviations_of(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray
 
 def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> tuple[EffectEstimate, ...]:
     """Effect estimates; each standard deviation is for the effect's own constant, as this is stated beside it, and
-    includes the drift to other motions."""
+    includes the drift to other motions and what errors of the links' effort contribute."""
     model, first = problem.model, problem.manifold.inertial.stop
     _, diagonal = problem.manifold.jacobian(point)
     prior, variances = found.prior_stds[first:] ** 2, (np.diag(found.covariance) - found.own_constant)[first:]
@@ -79,7 +79,8 @@ def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> t
     variances = np.where(wider > prior, np.maximum(variances, separate), variances)
     removed = np.clip(1.0 - variances / wider, 0.0, 1.0)
     drift = np.array([c.effect.drift for c in model.coefficients]) * point.parameters[first:]
-    std = np.hypot(diagonal * np.sqrt(variances), drift)
+    of_load = np.array([c.effect.load_error for c in model.coefficients]) * problem.scales
+    std = np.sqrt(diagonal**2 * variances + drift**2 + of_load**2)
     return tuple(
         EffectEstimate(
             name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=part

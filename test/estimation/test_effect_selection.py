@@ -112,9 +112,18 @@ def test_a_motor_turns_two_joints_with_friction_and_inertia_or_not_at_all(effect
     assert not [one.name for one in chosen(solved(planted("arm7", 4, effect))) if one.name in OF_MOTOR]
 
 
-@pytest.mark.parametrize(("stiffness", "is_found"), [(0.012, False), (0.04, True)])
-def test_what_is_significant_must_be_visible_too(stiffness: float, is_found: bool) -> None:
-    """The smaller spring is more than three standard deviations from none, but its joint's residual hardly falls."""
+def test_what_is_significant_must_be_visible_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Load-dependent friction of more than three standard deviations, by which its joint's residual hardly falls."""
+    case = planted("arm3", 1)
+    small = case.with_efforts(case.samples.effort + 0.04 * added("load_friction", 1, case, case.noiseless))
+    assert not chosen(solved(small))
+    monkeypatch.setattr(effect_selection, "_VISIBLE", 0.0)
+    assert ("load_friction", "joint2") in {(one.name, one.joint) for one in chosen(solved(small))}
+
+
+@pytest.mark.parametrize(("stiffness", "is_found"), [(0.2, False), (0.5, True)])
+def test_a_spring_is_larger_than_errors_of_the_effort_that_links_need(stiffness: float, is_found: bool) -> None:
+    """The smaller one is visible and repeats, but so is a gain of the drive that depends on the position."""
     case = planted("arm3", 1)
     change = np.zeros_like(case.samples.effort)
     change[:, 1] = stiffness * case.samples.position[:, 1]

@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.model.effects.effect import FRICTION_DRIFT, Effect, Hinge, JointEffect, PairEffect, SituationEffect
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
 from geomid_ros.model.effects.parameters import EFFORT, ByEffect, Found, ParameterForm, Quantities, Values
-from geomid_ros.model.effects.sensor_errors import EffortOffset
+from geomid_ros.model.effects.sensor_errors import DriveGain, EffortOffset
 from geomid_ros.model.effects.situation import JointMotion, Place, Situation, joint_of
 from geomid_ros.types import FloatArray
 
@@ -54,6 +54,7 @@ class Spring(JointEffect):
     adds_up = False
     contains = "effort_offset"
     confusable_with_payload = True
+    load_error = DriveGain.default_prior_std[0]  # what a drive makes of its links' weight depends on the position, too
     positives = 1  # an estimated stiffness; a file may contain a negative one
 
     @property

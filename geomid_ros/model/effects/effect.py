@@ -85,6 +85,10 @@ class Effect(ABC):
     """True if two at one place equal one with the sums of their parameters; else the second replaces the first. Must be
     False for an effect with a constant to choose."""
 
+    load_error: ClassVar[float] = 0.0
+    """Standard deviation of its coefficients due to errors of the links' effort, as a fraction of its channel's
+    measurements. Blocks of one recording do not show it."""
+
     # Fitting.
     count: ClassVar[int] = 1
     """Number of coefficients of its columns, without those of its other :attr:`parts`."""
