@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -82,16 +82,14 @@ class CoefficientRows:
             columns.sort(key=lambda column: [*vars(self.coefficient(column).effect).values()])
         return columns_of
 
-    @cached_property
-    def _causes(self) -> dict[Hashable, list[int]]:
-        columns_of: dict[Hashable, list[int]] = {}
-        for column in range(self.first_column, self.size):
-            columns_of.setdefault(self.coefficient(column).cause, []).append(column)
-        return columns_of
-
-    def of_cause(self, column: int) -> list[int]:
-        """Columns of all coefficients that have the cause of a column's."""
-        return self._causes[self.coefficient(column).cause]
+    def needed(self, column: int) -> list[int]:
+        """Columns of the effects that the effect of a column needs at its place."""
+        own = self.coefficient(column)
+        of_needs = {(own.place, effect) for effect in own.effect.needs}
+        others = range(self.first_column, self.size) if of_needs else ()
+        return [
+            other for other in others if (self.coefficient(other).place, self.coefficient(other).effect) in of_needs
+        ]
 
     @cached_property
     def mechanism_numbers(self) -> IntArray:
@@ -126,8 +124,8 @@ class CoefficientRows:
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     def are_plausible(self, columns: IntArray, parameters: FloatArray) -> BoolArray:
-        """True for each optional coefficient among ``columns`` that is in its range, beside all others of its cause,
-        and whose effect does what it stands for given the others at its place, for all ``parameters (D,)``."""
+        """True for each optional coefficient among ``columns`` that is in its range, and whose effect has all that it
+        needs, and does what it stands for given the others at its place, for all ``parameters (D,)``."""
         chosen = [(column, self.coefficient(column)) for column in np.intersect1d(columns, self.optional).tolist()]
         peers: dict[Place, dict[Effect, float]] = {c.place: {} for _, c in chosen}
         for column in columns[columns >= self.first_column] if chosen else ():
@@ -137,7 +135,7 @@ class CoefficientRows:
         return np.array(
             [
                 self.allows(column, parameters[column])
-                and np.all(parameters[self.of_cause(column)])
+                and np.all(parameters[self.needed(column)])
                 and c.effect.is_supported(peers[c.place])
                 for column, c in chosen
             ],

@@ -150,8 +150,7 @@ def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
         squares = fit.is_plausible * fit.squares_of(fit.chosen_columns)
         if np.min(squares) > SIGNIFICANT_STDS**2:
             break
-        dropped = fit.rows.of_cause(int(fit.chosen_columns[np.argmin(squares)]))
-        fit = fit.rows.fit(np.setdiff1d(fit.all_columns, dropped), fit)
+        fit = fit.rows.fit(np.setdiff1d(fit.all_columns, fit.chosen_columns[np.argmin(squares)]), fit)
     return fit
 
 
@@ -167,10 +166,10 @@ def _trials_of_best(present: CoefficientFit, candidates: IntArray) -> dict[int, 
 
 
 def _trial(starts: Sequence[CoefficientFit], column: int) -> Trial | None:
-    """Return the best trial of a column in any shape, with all that have its cause, from fits with the same columns;
+    """Return the best trial of a column in any shape, with all that it needs, from fits with the same columns;
     None if it is not plausible, or not visible from any of them."""
     rows = starts[0].rows
-    added = rows.of_cause(column)
+    added = [column, *rows.needed(column)]
     joints, shapes = joints_of(rows.coefficient(column).place), [*rows.shapes[rows.mechanism(column)], *added]
     columns = np.union1d(starts[0].all_columns, added)
     tried = [_best_shapes(_trials(start, joints, shapes), columns) for start in starts]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -273,17 +273,20 @@ def _optional(model: MeasurementModel) -> set[Mechanism]:
 
 
 def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, float]:
-    """Columns of those ``among`` the effects that are not significant, with their sizes in standard deviations: of the
-    least significant of each cause."""
+    """Columns of those ``among`` the effects that are not significant, with their sizes in standard deviations, at most
+    the sizes of the effects that they need."""
     problem = solved.minimum.fitted.problem
-    causes = [c.cause if c.mechanism in among else None for c in problem.model.coefficients]
-    least = dict[Hashable, float]()
-    for cause, effect in zip(causes, solved.minimum.effects, strict=True):
-        size = abs(effect.value) / max(effect.std, np.finfo(float).tiny)
-        least[cause] = min(size, least.get(cause, np.inf))
-    least[None] = np.inf
-    columns = solved.columns[problem.manifold.inertial.stop :].tolist()
-    return {column: least[cause] for column, cause in zip(columns, causes, strict=True) if least[cause] < _TAKEN}
+    coefficients = problem.model.coefficients
+    effects = zip(coefficients, solved.minimum.effects, strict=True)
+    sizes = {c: abs(effect.value) / max(effect.std, np.finfo(float).tiny) for c, effect in effects}
+    by_effect = {(c.place, c.effect): size for c, size in sizes.items()}
+    columns = zip(solved.columns[problem.manifold.inertial.stop :].tolist(), sizes.items(), strict=True)
+    least = {
+        column: min(size, *(by_effect.get((c.place, effect), size) for effect in c.effect.needs), np.inf)
+        for column, (c, size) in columns
+        if c.mechanism in among
+    }
+    return {column: size for column, size in least.items() if size < _TAKEN}
 
 
 def filtered_fraction(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TypeAlias
@@ -52,11 +52,6 @@ class Coefficient:
     def mechanism(self) -> Mechanism:
         """Its mechanism: an estimate has at most one coefficient of each, whatever the constants of its effect."""
         return self.effect.name, self.place, self.index
-
-    @property
-    def cause(self) -> Hashable:
-        """Cause of its effect at its place. Either all coefficients with the same one are zero, or none is."""
-        return self.place, self.effect.cause, self.index
 
     def parameters(self, value: float, std: float) -> dict[str, Quantity]:
         """Return the parameters that follow from its ``value``: its own, and its effect's constants."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -235,9 +235,10 @@ class _CoupledMotor(PairEffect):
     coarse_grid = grid
 
     @property
-    def cause(self) -> Hashable:
-        """The motor: whatever it turns, it has friction and inertia."""
-        return _CoupledMotor, self.ratio
+    def needs(self) -> tuple[Effect, ...]:
+        """The motor's friction: whatever it turns, that is viscous and dry."""
+        friction = CoupledViscousFriction(self.ratio), CoupledCoulombFriction(self.ratio)
+        return tuple(effect for effect in friction if effect != self)
 
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
         effort = self.of_motor.column(JointMotion(first.states + self.ratio * second.states))

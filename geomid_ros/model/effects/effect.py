@@ -7,7 +7,7 @@ knows its name. Every member has a default, so an effect defines only what is sp
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self, TypeAlias
 
@@ -179,9 +179,9 @@ class Effect(ABC):
         return bool(np.any(np.abs(coefficients) > self.largest))
 
     @property
-    def cause(self) -> Hashable:
-        """What it is due to. Effects at one place that have the same cause act together, or none of them does."""
-        return self
+    def needs(self) -> tuple[Effect, ...]:
+        """Effects at its place without which it does not act."""
+        return ()
 
     def is_supported(self, effects_at_place: Mapping[Effect, float]) -> bool:  # noqa: ARG002
         """True if all effects at its place, given with coefficients, together show the behaviour it stands for."""
