@@ -30,6 +30,7 @@ from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.coefficients import Mechanism
+from geomid_ros.model.effects import Effect, Place
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
@@ -277,16 +278,18 @@ def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, f
     the sizes of the effects that they need."""
     problem = solved.minimum.fitted.problem
     coefficients = problem.model.coefficients
-    effects = zip(coefficients, solved.minimum.effects, strict=True)
-    sizes = {c: abs(effect.value) / max(effect.std, np.finfo(float).tiny) for c, effect in effects}
-    by_effect = {(c.place, c.effect): size for c, size in sizes.items()}
-    columns = zip(solved.columns[problem.manifold.inertial.stop :].tolist(), sizes.items(), strict=True)
-    least = {
-        column: min(size, *(by_effect.get((c.place, effect), size) for effect in c.effect.needs), np.inf)
-        for column, (c, size) in columns
-        if c.mechanism in among
+    sizes = [abs(effect.value) / max(effect.std, np.finfo(float).tiny) for effect in solved.minimum.effects]
+    by_effect: dict[tuple[Place, Effect], float] = {
+        (c.place, c.effect): size for c, size in zip(coefficients, sizes, strict=True)
     }
-    return {column: size for column, size in least.items() if size < _TAKEN}
+    least = [
+        min([size, *(by_effect.get((c.place, effect), size) for effect in c.effect.needs)])
+        if c.mechanism in among
+        else np.inf
+        for c, size in zip(coefficients, sizes, strict=True)
+    ]
+    columns = solved.columns[problem.manifold.inertial.stop :]
+    return {column: size for column, size in zip(columns.tolist(), least, strict=True) if size < _TAKEN}
 
 
 def filtered_fraction(
