@@ -166,12 +166,13 @@ def _trials_of_best(present: CoefficientFit, candidates: IntArray) -> dict[int, 
 
 
 def _trial(starts: Sequence[CoefficientFit], column: int) -> Trial | None:
-    """Return the best trial of a column in any shape, with all that it needs, from fits with the same columns;
-    None if it is not plausible, or not visible from any of them."""
+    """Return the best trial of a column in any shape, with what it needs instead of other shapes of that, from fits
+    with the same columns; None if it is not plausible, or not visible from any of them."""
     rows = starts[0].rows
     added = [column, *rows.needed(column)]
-    joints, shapes = joints_of(rows.coefficient(column).place), [*rows.shapes[rows.mechanism(column)], *added]
-    columns = np.union1d(starts[0].all_columns, added)
+    joints = joints_of(rows.coefficient(column).place)
+    shapes = [shape for each in added for shape in rows.shapes[rows.mechanism(each)]]
+    columns = np.union1d(np.setdiff1d(starts[0].all_columns, shapes), added)
     tried = [_best_shapes(_trials(start, joints, shapes), columns) for start in starts]
     best = min(tried, key=lambda trial: trial.score)
     return best if best.is_plausible and any(trial.leaves_less(_VISIBLE) for trial in tried) else None

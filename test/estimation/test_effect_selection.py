@@ -281,6 +281,23 @@ def columns(case: Case, *more: tuple[str, int]) -> IntArray:
     return np.concatenate([np.arange(first), first + np.sort(own)])
 
 
+def test_a_motor_is_tried_on_one_side_with_its_friction_on_that_side() -> None:
+    """Instead of what the fit has on the other side."""
+    case = planted("arm7", 4, *OF_MOTOR)
+    rows, names = CoefficientRows(problem(case)), [one.name for one in case.model.robot.joints]
+
+    def of_motor(side: float) -> list[int]:
+        effects = [type(identifiable()[name])(side) for name in OF_MOTOR]
+        pairs = enumerate(case.model.coefficients, rows.first_column)
+        return [column for column, c in pairs if c.effect in effects and c.place_name == f"{names[4]}+{names[5]}"]
+
+    *friction, _ = of_motor(-1.0)
+    fit = rows.fit(np.append(rows.required_columns, friction))
+    trial = effect_selection._trial([fit], of_motor(1.0)[-1])  # of the inertia
+    assert trial is not None
+    np.testing.assert_array_equal(np.setdiff1d(trial.all_columns, rows.required_columns), of_motor(1.0))
+
+
 @pytest.mark.parametrize("effect", ["load_friction", "spring"])
 def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_others(effect: str) -> None:
     case = planted("arm3", 1, effect)
