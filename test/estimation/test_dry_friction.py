@@ -124,7 +124,8 @@ def test_the_least_one_goes_alone(sizes: tuple[float, ...], gone: list[int]) -> 
     def solve(columns: IntArray) -> Any:
         """The effects are so many of their deviations; all are sure when one is gone."""
         left = [(mechanisms[k - 10], sizes[k - 10] if len(columns) == 10 + len(sizes) else 9.0) for k in columns[10:]]
-        model = SimpleNamespace(coefficients=[SimpleNamespace(mechanism=mechanism) for mechanism, _ in left])
+        coefficients = [SimpleNamespace(mechanism=each, place=each[1], effect=CoulombFriction()) for each, _ in left]
+        model = SimpleNamespace(coefficients=coefficients)
         problem = SimpleNamespace(model=model, manifold=ParameterManifold(1, 0, np.ones(len(left))))
         effects = [SimpleNamespace(value=-size, std=1.0) for _, size in left]
         return _Solved(columns, SimpleNamespace(fitted=SimpleNamespace(problem=problem), effects=effects))
