@@ -9,14 +9,23 @@ from types import MappingProxyType
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, EffectsFit, EffectsPrior, EffectsSearch, Shapes
+from geomid_ros.gap.candidates import (
+    CLEARLY,
+    ODDS,
+    Candidate,
+    EffectsFit,
+    EffectsPrior,
+    EffectsSearch,
+    EffectsSupports,
+    Shapes,
+)
 from geomid_ros.gap.evidence.features import KnownRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_floor, runs_of
 from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records, TotalModel
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, fit_of_prior
-from geomid_ros.inference.probability import Support, Supports
+from geomid_ros.inference.probability import Support
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -110,7 +119,8 @@ def analyse(
         shapes=shapes,
         progress=progress,
     )
-    return _with_changed_link(task, _searched(task, prior, "searching"))
+    last, contested = _with_changed_link(task, _searched(task, prior, "searching"))
+    return _judged(task, last, contested)
 
 
 def _identifiable(candidates: Sequence[Candidate], moving: BoolArray) -> list[Candidate]:
@@ -141,14 +151,15 @@ def known_remainder(model: MeasurementModel, records: Records, prior: EffectsPri
     )
 
 
-def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
-    """Return the analysis, or a better one in which a link has changed since the robot was identified. A contradiction
-    with other recordings loosens all links at once; or it is explained by a payload, which cannot be negative, or by
-    other effects that mimic a lighter link. So each link is tried with effects found given its change. All links that
-    explain it about as well are searched to the end. A link with a payload is changed by that, unless it is lighter."""
-    search, names = analysis.search, analysis.effects
+def _with_changed_link(task: _Task, last: _Round) -> tuple[_Round, float]:
+    """Return the last round, or that of a better search with a link changed since the robot was identified, and the
+    odds that it is another link. A contradiction with other recordings loosens all links at once; or it is explained by
+    a payload, which cannot be negative, or by other effects that mimic a lighter link. So each link is tried with
+    effects found given its change. All links that explain it about as well are searched to the end. A link with a
+    payload is changed by that, unless it is lighter."""
+    search, names = last.search, last.found
     if search.prior.other_recordings is None:
-        return analysis
+        return last, 0.0
     threshold = names.score + 2.0 * np.log(ODDS)
     trials = list[tuple[EffectsPrior, float, bool]]()
     for link in task.links:
@@ -160,15 +171,15 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     least = min((score for _, score, _ in trials), default=np.inf)
     priors = [prior for prior, score, loaded in trials if score < least + CLEARLY and not loaded]
     if least > threshold or not priors:
-        return analysis
+        return last, 0.0
 
-    def with_changed(prior: EffectsPrior) -> tuple[float, Analysis]:
+    def with_changed(prior: EffectsPrior) -> tuple[float, _Round]:
         changed = _searched(task, prior, "searching with a link changed")
-        return fit(search.design, prior, changed.effects.chosen, changed.effects).score, changed
+        return fit(search.design, prior, changed.found.chosen, changed.found).score, changed
 
     (score, changed), *others = sorted(map(with_changed, priors), key=lambda scored: scored[0])
     contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
-    return replace(changed, contested=contested) if score < threshold else analysis
+    return (changed, contested) if score < threshold else (last, 0.0)
 
 
 def _ends(model: MeasurementModel, links: Sequence[int]) -> set[int]:
@@ -178,41 +189,52 @@ def _ends(model: MeasurementModel, links: Sequence[int]) -> set[int]:
     return {link for link in links if names[link] not in supporting}
 
 
-def _searched(task: _Task, prior: EffectsPrior, stage: str) -> Analysis:
-    """Search the named effects until the total model settles; return them with the evidence for each."""
-    last = _last_round(task, prior, stage)
-    supports = _supports(last.search, last.found, task.inner)
-    task.progress(stage, 1.0)
-    problem, search, names = last.problem, last.search, last.found
-    design = search.design
-    residual = problem.residual(names, last.columns) - problem.remainder(design, names)
+def _judged(task: _Task, last: _Round, contested: float) -> Analysis:
+    """Return the likely effects of the last round with the evidence for each. Noise is what all effects that it found
+    leave, likely or not."""
+    problem, design, found = last.problem, last.search.design, last.found
+    residual = problem.residual(found, last.columns) - problem.remainder(design, found)
     rows = np.where(design.counts > 0.0, design.counts, np.nan)
-    remainder_parameters = np.array([lack.freedom for lack in names.remainders(design)])
-    freedom = np.maximum(rows - names.parameters_by_channel(design) - remainder_parameters, 1.0) / rows
+    remainder_parameters = np.array([lack.freedom for lack in found.remainders(design)])
+    freedom = np.maximum(rows - found.parameters_by_channel(design) - remainder_parameters, 1.0) / rows
     noise, _ = problem.identifiable_floor(problem.valid_rms(residual) / np.sqrt(freedom))
+    supports = EffectsSupports(last.search, found)
+    if last.search.prior.identified:
+        supports = _likely(supports)
     return Analysis(
         problem=problem,
-        search=search,
-        inertias_only=search.fit([]),
-        effects=names,
-        supports=supports,
+        search=supports.selection,
+        inertias_only=supports.selection.fit([]),
+        effects=supports.found,
+        supports=_evidence(supports, task.inner),
         floor=noise_floor(task.model, task.records, noise),
         shapes=task.shapes,
+        contested=contested,
     )
 
 
-def _supports(search: EffectsSearch, names: EffectsFit, inner: Collection[int]) -> dict[Candidate, Support[Candidate]]:
+def _likely(supports: EffectsSupports) -> EffectsSupports:
+    """Supports without the changes that are no more likely than nothing in their place, nor those that are more likely
+    only beside these. What such changes explain is part of the remainder, which is estimated anew, and puts the sizes
+    of the others in doubt."""
+    search, names = supports.selection, supports.found
+    unlikely = [candidate for candidate in names.chosen if supports.adjusted_loss(candidate) <= 0.0]
+    if not unlikely:
+        return supports
+    rest = search.without(names, *unlikely)
+    search = Selection(rest.with_fitted_remainder(search.design), search.prior, search.hypotheses)
+    return _likely(EffectsSupports(search, search.within_range(search.fit(rest.chosen, rest))))
+
+
+def _evidence(supports: EffectsSupports, inner: Collection[int]) -> dict[Candidate, Support[Candidate]]:
     """Evidence for each named effect that is more likely than nothing in its place. For a payload on an ``inner`` link,
-    an error of the link is as likely. The others are not reported, but stay in the fit: the remainder would else
-    contain what they explain, and all other effects would be doubted for it."""
-    supports = Supports(search, names)
-    likely = {
-        candidate: supports.of(candidate) for candidate in names.chosen if supports.adjusted_loss(candidate) > 0.0
-    }
-    for candidate, support in likely.items():
+    an error of the link is as likely. Beside a URDF the others are not reported, but stay in the fit: any robot may
+    have them, and the remainder would else contain what they explain, so that all other effects would be doubted."""
+    evidence = {c: supports.of(c) for c in supports.found.chosen if supports.adjusted_loss(c) > 0.0}
+    for candidate, support in evidence.items():
         if candidate.payload in inner:
-            likely[candidate] = replace(support, probability=support.probability / (1.0 + support.probability))
-    return likely
+            evidence[candidate] = replace(support, probability=support.probability / (1.0 + support.probability))
+    return evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,9 +248,10 @@ class _Round:
     found: EffectsFit
 
 
-def _last_round(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
-    """Alternate search and linearisation until the total model settles. One that does not is fitted along the result of
-    the last search, in the noise of that: this search may have dropped effects that the linearisation used."""
+def _searched(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
+    """Alternate search and linearisation until the total model settles; return the last round. A model that does not
+    settle is fitted along the result of the last search, in the noise of that: this search may have dropped effects
+    that the linearisation used."""
     noise, total = _beginning(task, prior)
     floor: FloatArray | None = None
     previous: EffectsFit | None = None
@@ -242,6 +265,7 @@ def _last_round(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
         names, variances = last.found, last.search.design.variances
         total = total_model(task.model, names)
         if attempt == _ROUNDS + _REFITS - 1 or (settling and _same(previous, names)):
+            task.progress(stage, 1.0)
             return last
         settling |= attempt >= _ROUNDS - 2 or _same(previous, names)
         previous = names

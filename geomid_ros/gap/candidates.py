@@ -14,6 +14,7 @@ from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.fit import JointFit
 from geomid_ros.inference.prior import GAIN, Prior
+from geomid_ros.inference.probability import Supports
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import (
     DEFAULT_EFFECTS,
@@ -185,6 +186,7 @@ class Candidate:
 EffectsFit: TypeAlias = JointFit[Candidate, EffectTerm]
 EffectsPrior: TypeAlias = Prior[EffectTerm]
 EffectsSearch: TypeAlias = Selection[Candidate, EffectTerm]
+EffectsSupports: TypeAlias = Supports[Candidate, EffectTerm]
 
 
 def candidates(

@@ -48,8 +48,8 @@ class Supports(Generic[Chosen, Term]):
     """Supports of the hypotheses of a fit that a ``selection`` ``found``."""
 
     def __init__(self, selection: Selection[Chosen, Term], found: JointFit[Chosen, Term]) -> None:
-        self._selection = selection
-        self._found = found
+        self.selection = selection
+        self.found = found
         self._sized = scattered(selection.design, found)
         self._covariance = self._sized.covariance
         self.known: dict[str, dict[Any, Any]] = {}
@@ -66,7 +66,7 @@ class Supports(Generic[Chosen, Term]):
         with rivals shrink by the same factor. Prior odds are corrected by how common such hypotheses are on this robot.
         """
         loss, worth, common = self.loss(candidate), self.adjusted_loss(candidate), self._common(candidate)
-        rivals = self._rivals(self._selection.without(self._found, candidate), candidate)
+        rivals = self._rivals(self.selection.without(self.found, candidate), candidate)
         kept = max(worth, 0.0) / loss if loss > 0.0 else 1.0
         against = [worth + common, *(kept * worse + common - self._common(rival) for rival, worse in rivals)]
         ordered = tuple(sorted(rivals, key=lambda rival: rival[1]))
@@ -79,7 +79,7 @@ class Supports(Generic[Chosen, Term]):
         distribution of these odds, as if seen once before, and the number of others found (Scott and Berger, "Bayes and
         empirical-Bayes multiplicity adjustment in the variable-selection problem", 2010)."""
         alike = self._groups_of_odds[candidate.odds]
-        others = sum(c.group in alike for c in self._found.chosen if c.group != candidate.group)
+        others = sum(c.group in alike for c in self.found.chosen if c.group != candidate.group)
         return 2.0 * float(np.log((1 + others) / (1.0 + candidate.odds * (len(alike) - 1 - others))))
 
     def adjusted_loss(self, candidate: Chosen) -> float:
@@ -91,7 +91,7 @@ class Supports(Generic[Chosen, Term]):
     def loss(self, candidate: Chosen) -> float:
         """Loss of score without it; each fit uses the better of two remainders, estimated with and without the
         hypothesis."""
-        selection, current = self._selection, self._found
+        selection, current = self.selection, self.found
         rest = selection.without(current, candidate)
         design = rest.with_fitted_remainder(selection.design, selection.design.affected_channels(candidate))
         both = [fit(design, selection.prior, joint_fit.chosen, joint_fit).score for joint_fit in (rest, current)]
@@ -101,7 +101,7 @@ class Supports(Generic[Chosen, Term]):
         """Return the rivals in its place with their losses. These are exact for bodies and for rivals as good as this
         one, and from the score test for others. The same with another constant, and what contains it, are no rivals.
         The gain of a rival in addition to this one is added to its loss: only its advantage in this place counts."""
-        selection, current = self._selection, self._found
+        selection, current = self.selection, self.found
         additional_gains = {trial.candidate: max(trial.gain, 0.0) for trial in selection.ranked(current)}
         losses = dict[Chosen, float]()
         for trial in selection.ranked(rest):
@@ -121,7 +121,7 @@ class Supports(Generic[Chosen, Term]):
     def _of_size(self, candidate: Chosen) -> float:
         """Loss of score if its size is zero, from the size alone; for a body from mass and first moment, whose prior is
         almost flat."""
-        current = self._found
+        current = self.found
         values, places = current.changes[candidate], _places(current, candidate)
         narrowed, covariance = 0.0, self._covariance[np.ix_(places, places)]
         if candidate.payload is not None:
@@ -136,8 +136,8 @@ class Supports(Generic[Chosen, Term]):
     @remembered
     def relative_std(self, candidate: Chosen) -> float:
         """Relative standard deviation of its size due to the remainder."""
-        values = self._found.changes[candidate]
-        return relative_std_from_remainder(self._selection.design, self._found, candidate, values)
+        values = self.found.changes[candidate]
+        return relative_std_from_remainder(self.selection.design, self.found, candidate, values)
 
 
 def relative_std_from_remainder(

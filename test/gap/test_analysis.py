@@ -161,7 +161,7 @@ def test_what_does_not_settle_is_fitted_in_the_noise_of_the_last_search(monkeypa
     task: Any = SimpleNamespace(
         model=None, records=None, linearised=lambda *_: rounds.problem, progress=lambda *_: None
     )
-    analysis._last_round(task, None, "")  # type: ignore[arg-type]
+    analysis._searched(task, None, "")  # type: ignore[arg-type]
     searches = ["first", 1, 2, 3, 4, 5]
     assert rounds.noises == [(noise, "first") for noise in (*searches, 5, 5, 5)]
 
@@ -196,7 +196,8 @@ def test_the_end_of_a_limb_carries_no_other_link(links: list[int], ends: set[int
 def test_beside_a_drawing_alone_payloads_are_looked_for_at_all_links(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing else tells there what a link has gained."""
     monkeypatch.setattr(analysis, "_searched", lambda task, *_: task)
-    monkeypatch.setattr(analysis, "_with_changed_link", lambda task, _: task)
+    monkeypatch.setattr(analysis, "_with_changed_link", lambda task, _: (task, 0.0))
+    monkeypatch.setattr(analysis, "_judged", lambda task, *_: task)
     records: Any = SimpleNamespace(moving=np.ones((30, 3), dtype=bool))
     drawing = planted.prior()
     identified = replace(drawing, other_recordings=OtherRecordings(np.zeros((1, 30)), np.zeros(1)))
@@ -216,14 +217,14 @@ def test_a_link_may_have_been_changed_beside_names_and_in_the_place_of_a_payload
     recording, size = Recording(7, [PAYLOAD, VISCOUS]), 0.5 if VISCOUS in names else 0.0
     design = recording.design({VISCOUS.terms[0]: size}, 0.7 * LINK)
 
-    def analysed(prior: EffectsPrior, *found: Candidate) -> analysis.Analysis:
+    def searched(prior: EffectsPrior, *found: Candidate) -> analysis._Round:
         search = Selection(design, prior, [PAYLOAD, VISCOUS])
         unused: Any = None
-        fits = {"inertias_only": search.fit([]), "effects": search.fit(found)}
-        return analysis.Analysis(problem=unused, search=search, supports={}, floor=np.ones(2), **fits)
+        return analysis._Round(unused, unused, search, search.fit(found))
 
     beside = [c for c in names if c is not PAYLOAD]
-    monkeypatch.setattr(analysis, "_searched", lambda _, prior, __: analysed(prior, *beside))
+    monkeypatch.setattr(analysis, "_searched", lambda _, prior, __: searched(prior, *beside))
     task: Any = SimpleNamespace(links=[0], tried=[PAYLOAD, VISCOUS])
-    found = analysis._with_changed_link(task, analysed(identified, *names))
+    found, contested = analysis._with_changed_link(task, searched(identified, *names))
     assert found.search.prior.changed_link == 0
+    assert contested == 0.0

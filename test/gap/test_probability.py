@@ -81,7 +81,7 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
     """A second column explains nothing, or what else would be taken for a lack along the first one."""
     search = Selection(Recording(3, CANDIDATES).design({VISCOUS.terms[0]: 1.0}), PRIOR, CANDIDATES)
     found = search.fit([VISCOUS, OFFSET])
-    (said,) = analysis._supports(search, found, ()).items()
+    (said,) = analysis._evidence(Supports(search, found), ()).items()
     assert said[0] is VISCOUS
     assert said[1].loss == pytest.approx(search.without(found, VISCOUS).score - found.score)
     unused: Any = None
@@ -91,6 +91,20 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
     assert whole.likely.chosen == (VISCOUS,)
     ranked = ranking(planted.model(), whole, (), ())
     assert (OFFSET.name, "joint1") in {(each.effect, each.joint) for each in ranked}
+
+
+def test_a_change_that_is_likely_only_beside_one_less_likely_than_nothing_is_not_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The rotor's column is nearly that of the friction, of which the doubt is set: they show in their difference."""
+    tried, adjusted_loss = [VISCOUS, ROTOR], Supports.adjusted_loss
+    recording = Recording(1, tried, {ROTOR.terms[0]: VISCOUS.terms[0]})
+    search = Selection(recording.design({VISCOUS.terms[0]: 0.5, ROTOR.terms[0]: -0.5}), PRIOR, tried)
+    both = Supports(search, search.fit(tried))
+    assert both.of(ROTOR).probability > 0.95
+    assert analysis._likely(both) is both
+    monkeypatch.setattr(Supports, "adjusted_loss", lambda s, c: -1.0 if c is VISCOUS else adjusted_loss(s, c))
+    assert analysis._likely(both).found.chosen == ()
 
 
 def test_what_improves_the_fit_beside_a_name_as_well_is_no_rival_of_it() -> None:
@@ -147,9 +161,9 @@ def test_a_drawing_s_inner_link_may_be_wrong_as_well_as_loaded() -> None:
     load = np.array([1.0, 0.3, 0.0, 0.2, 0.4, 0.0, 0.4, 0.0, 0.0, 0.4])
     design = Recording(3, [PAYLOAD]).design({}, LINK + load)
     search = Selection(design, replace(PRIOR, prior_std=0.05, certainty=100.0), [PAYLOAD])
-    found = search.fit([PAYLOAD])
+    found = Supports(search, search.fit([PAYLOAD]))
     for inner, least, most in (((), 0.99, 1.0), ((0,), 0.49, 0.5)):
-        assert least < analysis._supports(search, found, inner)[PAYLOAD].probability <= most
+        assert least < analysis._evidence(found, inner)[PAYLOAD].probability <= most
 
 
 def test_each_channel_s_lack_counts_by_the_weight_that_least_squares_give_what_it_says() -> None:
