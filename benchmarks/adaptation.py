@@ -36,6 +36,7 @@ from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.control.correction import Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.excitation.motion import Trajectory
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.session.options import FillOptions
 from geomid_ros.simulation.description import LinkInertia, body_of, pseudo_inertia
 from geomid_ros.simulation.motion import exciting_motion
@@ -159,7 +160,8 @@ class Robot:
         controller = control_loop(self.robot, self.options).controller
         self.stiffness, self.damping = _SOFTER * controller.stiffness, np.sqrt(_SOFTER) * controller.damping
         self.urdf = robot_description(options.robot)
-        self.session = robot_to_move(FillOptions(force=True), bag.with_name(f"{bag.name}_estimate") / "estimate.json")
+        estimate = EstimateFile.read(bag.with_name(f"{bag.name}_estimate") / "estimate.json")
+        self.session = robot_to_move(FillOptions(force=True), estimate)
         self.body = self.session.robot.body_names[-1]
         cycles = round(_DURATION / CYCLE)
         self.times = CYCLE * np.arange(cycles + 200)  # what is commanded arrives later

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +12,13 @@ from geomid_ros.control.feedforward import MotorEfforts, interpolation_errors, w
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.trajectories import read_trajectory, save_trajectory, trajectory_in_bag
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.urdf_tree import parse
 from geomid_ros.options import takes
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.options import DescriptionOptions, FeedforwardOptions, FillOptions, PathLike
+from geomid_ros.session.options import FeedforwardOptions, FillOptions, PathLike
 from geomid_ros.session.session import Session, predicting_session
 from geomid_ros.types import FloatArray
 
@@ -88,7 +89,8 @@ def feedforward(options: FeedforwardOptions) -> Feedforward:
     given, source = options.trajectory, "the trajectory"
     if not isinstance(given, Trajectory):
         given, source = _read(Path(given), options.topic), str(given)
-    session = robot_to_move(options, options.model)
+    file = None if options.model is None else EstimateFile.read(Path(options.model))
+    session = robot_to_move(options, file)
     return fill_efforts(session, given, options.tolerance, source)
 
 
@@ -112,30 +114,32 @@ def _read(path: Path, topic: str | None) -> Trajectory:
     return read_trajectory(path)
 
 
-def robot_to_move(options: FillOptions, model: PathLike | None) -> Session:
-    """Return the robot with its model. Raises InputError if there is none, or it is doubtful and not forced."""
-    if model is None and options.urdf is None:
+def robot_to_move(options: FillOptions, file: EstimateFile | None) -> Session:
+    """Return the robot with its model; without a ``file``, that of the URDF alone. Raises InputError if there is none,
+    or it is doubtful and not forced."""
+    if file is None and options.urdf is None:
         raise InputError("no robot is given: give a model (estimate.json), or a urdf for the URDF alone")
-    file = None if model is None else EstimateFile.read(Path(model))
-    if file is not None:
-        _check_model(options, file)
-    robot, parameters = description(options, [], model), configuration(options, model, candidates=[])
-    if file is not None:
-        parameters = _with_sensors_of(file, parameters, robot)
-    session = predicting_session(robot.text, parameters, robot.source)
-    if session.loaded.warning and not options.force:
-        raise InputError(f"{session.loaded.warning}; to move a robot by it all the same, set force")
-    return session
+    parameters = configuration(options, candidates=[])
+    if file is None:
+        robot = description(options, [])
+        return predicting_session(robot.text, parameters, robot.source)
+    check_model(options, file)
+    robot = description(replace(options, urdf=options.urdf or file.robot_description or None), [], file.source)
+    parameters = _with_sensors_of(file, parameters, robot)
+    return predicting_session(robot.text, parameters, robot.source, LoadedModel.of(file))
 
 
-def _check_model(options: DescriptionOptions, file: EstimateFile) -> None:
-    """Refuse a model with a floating base, or without its robot description. Raises InputError."""
+def check_model(options: FillOptions, file: EstimateFile) -> None:
+    """Refuse a model that is doubtful and not forced, has a floating base, or no robot description. Raises
+    InputError."""
+    if file.warning and not options.force:
+        raise InputError(f"{file.warning}; to move a robot by it all the same, set force")
     if any(channel.channel.startswith("base/") for channel in file.channels):
         raise InputError(
             f"{file.source}: floating base: leg efforts depend on ground contact forces, which a trajectory does not "
             "contain"
         )
-    if options.urdf is None and not identified_urdf_path(file.source).is_file():
+    if not (options.urdf or file.robot_description or identified_urdf_path(file.source).is_file()):
         raise InputError(f"{file.source}: identified.urdf is missing in the same folder; give the urdf")
 
 

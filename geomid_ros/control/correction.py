@@ -77,6 +77,11 @@ class Adaptation:
         """Difference ``(10,)`` from the identified inertia."""
         return self.point.parameters - self._identified.parameters
 
+    def resume(self, point: Point) -> None:
+        """Go on from a ``point``, unless no payload brings the identified body there."""
+        if divergence(point, self._identified) < self._bound:
+            self.point = point
+
     def step(self, tangent: FloatArray) -> None:
         """Follow a ``tangent (10,)``, no farther than rows are nearly linear, unless it leads further out of the
         bound."""

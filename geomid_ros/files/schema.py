@@ -48,15 +48,20 @@ class Stored:
 
 
 def read_document(path: Path, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
-    """JSON object in a file, with these ``keys``; ``what`` names it in messages.
+    """JSON object in a file; see :func:`parse_document`."""
+    return parse_document(read_text(path, what), str(path), what, keys)
 
-    Raises InputError naming the file.
+
+def parse_document(text: str, source: str, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
+    """JSON object in a text, with these ``keys``; ``source`` and ``what`` name it in messages.
+
+    Raises InputError naming the source.
     """
     with refusing(
-        f"{path}: the {what} cannot be read, it must be JSON as geomid writes it", ValueError, RecursionError
+        f"{source}: the {what} cannot be read, it must be JSON as geomid writes it", ValueError, RecursionError
     ):
-        document = json.loads(read_text(path, what))
-    check_form(document, keys, f"{path}:", what)
+        document = json.loads(text)
+    check_form(document, keys, f"{source}:", what)
     return dict(document)
 
 

@@ -33,7 +33,7 @@ from geomid_ros.model.se3 import quaternion
 from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.startup import POLL
-from geomid_ros.session.session import Session, identified_urdf
+from geomid_ros.session.session import Session, document, identified_urdf
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.types import FloatArray
 
@@ -62,6 +62,7 @@ class Outputs(Listener):
         self._predictions = create(JointState, "~/predicted_joint_states", 1000)
         self._deviations = create(JointState, "~/predicted_efforts_std", 1000)
         self._identified = create(String, "~/robot_description", latched())
+        self._estimates = create(String, "~/estimate", latched())
         self._ellipsoids = create(MarkerArray, "~/markers", latched())
         self._findings = create(String, "~/gap", latched())
         self._carried = create(InertiaStamped, "~/payload/inertia", latched())
@@ -91,7 +92,9 @@ class Outputs(Listener):
                 self._inertias.publish(InertiaStamped(header=Header(frame_id=name, stamp=ros_time(stamp))))
         for link in estimate.links:
             self._inertias.publish(inertia_message(link.name, link.parameters, stamp))
-        self._identified.publish(String(data=identified_urdf(session, estimate)))
+        urdf = identified_urdf(session, estimate)
+        self._identified.publish(String(data=urdf))
+        self._estimates.publish(String(data=json.dumps(document(session, estimate) | {"robot_description": urdf})))
         markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
         self._ellipsoids.publish(MarkerArray(markers=[Marker(action=Marker.DELETEALL), *markers]))
 

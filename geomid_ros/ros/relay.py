@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
@@ -24,23 +25,24 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from geomid_ros.api.feedforward import fill_efforts, robot_to_move
+from geomid_ros.api.feedforward import check_model, fill_efforts, robot_to_move
 from geomid_ros.control.correction import LONGEST_FAULT, Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import GeomidError, InputError, one_line
 from geomid_ros.excitation.motion import Trajectory
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.trajectories import trajectory_of
 from geomid_ros.model.effects import EFFECTS
 from geomid_ros.ros.controller import NOT_SENT, ActionRelay, Filled, follow_joint_trajectory, message_of, nothing
 from geomid_ros.ros.diagnostics import status_message
 from geomid_ros.ros.inputs import given_parameters
-from geomid_ros.ros.outputs import inertia_message, ros_time
+from geomid_ros.ros.outputs import inertia_message, latched, ros_time
 from geomid_ros.session.configuration import AT_START, Parameter
 from geomid_ros.session.options import FillOptions
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
-_GAP = "geomid/gap"  # of the identification node in the same namespace
+_GAP, _ESTIMATE = "geomid/gap", "geomid/estimate"  # of the identification node in the same namespace
 
 
 class AdaptationNode:
@@ -83,10 +85,11 @@ class AdaptationNode:
         return Correction(efforts, self._joints, self._link, self._heaviest)
 
     def use(self, session: Session) -> None:
-        """Restart with another model of the robot; a correction that is off stays off."""
-        reason, self._session = self._correction.latch.reason, session
+        """Go on with another model of the robot: what is carried stays, and a correction that is off stays off."""
+        before, self._session = self._correction, session
         self._begin_anew()
-        self._correction.latch.switch_off(reason)
+        self._correction.adaptation.resume(before.adaptation.point)
+        self._correction.latch.switch_off(before.latch.reason)
 
     def _begin_anew(self) -> None:
         before, self._correction = self._correction, self._new()
@@ -179,8 +182,12 @@ class AdaptationNode:
 _IN = "~/joint_trajectory"
 _at_start = partial(Parameter, change=AT_START)
 _PARAMETERS = (
-    _at_start("model", "", "estimate.json of the robot, which is read again when it has changed"),
-    _at_start("urdf", "", "robot description; empty: identified.urdf in the folder of the model"),
+    _at_start(
+        "model",
+        "",
+        f"estimate.json, read again when it has changed; empty: the urdf alone, or the last usable one on {_ESTIMATE}",
+    ),
+    _at_start("urdf", "", "robot description; empty: that of the model"),
     _at_start("config", "", "parameter file of the identification node, for effort gains and locked joints"),
     _at_start("controller", "joint_trajectory_controller", "name of the controller"),
     _at_start(
@@ -190,6 +197,62 @@ _PARAMETERS = (
     _at_start("link", "", "link that adapts to a payload; empty: the last one"),
     _at_start("heaviest_payload", 0.0, "largest payload that a link adapts to [kg]; 0: no adaptation", 0.0, 1e6),
 )
+
+
+class _RobotOfFile:
+    """Robot with the model in a file, or that of a URDF alone."""
+
+    def __init__(self, options: FillOptions, path: str) -> None:
+        """Read the file at this ``path``; none if empty. Raises InputError if it is unusable."""
+        self._options, self._path = options, path
+        self._changed = self._changed_at()
+        self._session = self._read()
+
+    def current(self) -> Session:
+        """Return the robot; the file is read again if it has changed. Raises InputError if it is unusable."""
+        if (changed := self._changed_at()) != self._changed:
+            self._session, self._changed = self._read(), changed
+        return self._session
+
+    def _read(self) -> Session:
+        return robot_to_move(self._options, EstimateFile.read(Path(self._path)) if self._path else None)
+
+    def _changed_at(self) -> int:
+        try:
+            return Path(self._path).stat().st_mtime_ns
+        except OSError:
+            return 0  # reading reports it
+
+
+class _RobotOfNode:
+    """Robot with the last usable estimate of the identification node."""
+
+    def __init__(self, options: FillOptions, node: Node) -> None:
+        self._options, self._log = options, node.get_logger()
+        self._topic = node.resolve_topic_name(_ESTIMATE)
+        self._refusal = f"no estimate on {self._topic} yet; start geomid_node, or set the parameter model"
+        self._file: EstimateFile | None = None
+        self._session: Session | None = None  # of the file, once it is needed
+
+    def take(self, text: str) -> bool:
+        """Take an estimate. Return False, and keep the one before, if it is doubtful or unusable."""
+        try:
+            file = EstimateFile.parse(text, self._topic)
+            check_model(self._options, file)
+        except InputError as error:
+            if self._file is not None and not self._refusal:
+                self._log.warning(f"{error}; the last usable estimate stays")
+            self._refusal = str(error)
+            return False
+        self._file, self._session, self._refusal = file, None, ""
+        return True
+
+    def current(self) -> Session:
+        """Return the robot. Raises InputError if there is no usable estimate."""
+        if self._file is None:
+            raise InputError(self._refusal)
+        self._session = self._session or robot_to_move(self._options, self._file)
+        return self._session
 
 
 class FeedforwardRelay:
@@ -215,26 +278,52 @@ class FeedforwardRelay:
         table = {parameter.name: parameter for parameter in _PARAMETERS}
         values: dict[str, Any] = {name: parameter.default for name, parameter in table.items()}
         values |= given_parameters(node, table)
-        self._model, controller, heaviest = values["model"], values["controller"], values["heaviest_payload"]
+        model, controller, heaviest = values["model"], values["controller"], values["heaviest_payload"]
         urdf, config, force = values["urdf"] or None, values["config"] or None, values["force"]
         self._options = FillOptions(urdf, config=config, tolerance=values["tolerance"], force=force)
-        self._read_at = self._changed_at()
-        self._session = robot_to_move(self._options, self._model or None)
+        self._session: Session | None = None  # that trajectories were last filled for
+        self._adapting: AdaptationNode | None = None
+        self._adapt = partial(AdaptationNode, node, link=values["link"], heaviest=heaviest) if heaviest else None
         self._filling = ThreadPoolExecutor(1)
         self._due: SimpleQueue[Callable[[], None]] = SimpleQueue()  # what the thread leaves to the node's
         self._is_due = node.create_guard_condition(self._do_due)
+        self._robot: _RobotOfFile | _RobotOfNode
+        if model or urdf:
+            self._robot = _RobotOfFile(self._options, model)
+            self._current()
+            self._do_due()
+        else:
+            self._robot = of_node = _RobotOfNode(self._options, node)
+            node.create_subscription(String, _ESTIMATE, partial(self._on_estimate, of_node), latched())
         self._publisher = node.create_publisher(JointTrajectory, f"{controller}/joint_trajectory", 10)
         node.create_subscription(JointTrajectory, _IN, partial(self._fill, done=self._relay), 10)
         if (action := follow_joint_trajectory()) is not None:
             ActionRelay(node, controller, action, self._fill, self._follow)
-        self._adapting = AdaptationNode(node, self._session, values["link"], heaviest) if heaviest else None
         self._log.info(f"fills the efforts of {node.resolve_topic_name(_IN)} for {self._publisher.topic_name}")
 
-    def _changed_at(self) -> int:
-        try:
-            return Path(self._model).stat().st_mtime_ns
-        except OSError:
-            return 0  # reading reports it
+    def _on_estimate(self, robot: _RobotOfNode, message: String) -> None:
+        self._filling.submit(self._take, robot, message.data)
+
+    def _take(self, robot: _RobotOfNode, text: str) -> None:
+        """Take an estimate of the identification node; begin to adapt with the first usable one."""
+        with suppress(GeomidError):  # a trajectory's refusal reports it
+            if robot.take(text) and self._session is None:
+                self._current()
+
+    def _current(self) -> Session:
+        """Return the robot with the present model. Raises InputError if there is none, or it is unusable."""
+        session = self._robot.current()
+        if session is not self._session:
+            self._log.info(f"efforts are those of {session.loaded.source or session.source}")
+            self._later(partial(self._use, session))
+        self._session = session
+        return session
+
+    def _use(self, session: Session) -> None:
+        if self._adapting is not None:
+            self._adapting.use(session)
+        elif self._adapt is not None:
+            self._adapting = self._adapt(session)
 
     def close(self) -> None:
         """Wait for the trajectory whose efforts are being computed."""
@@ -269,14 +358,8 @@ class FeedforwardRelay:
         """Add efforts to a trajectory. Raises GeomidError if it is refused."""
         if not message.points:  # a command to stop
             return Filled(message, None)
-        if (changed_at := self._changed_at()) != self._read_at:
-            self._session = robot_to_move(self._options, self._model or None)
-            self._read_at = changed_at
-            if self._adapting is not None:
-                self._later(partial(self._adapting.use, self._session))
-            self._log.info(f"{self._model} has changed and is read again")
         given = trajectory_of(message, "trajectory")
-        result = fill_efforts(self._session, given, self._options.tolerance, "trajectory")
+        result = fill_efforts(self._current(), given, self._options.tolerance, "trajectory")
         answer = message_of(result.trajectory)
         answer.header = message.header
         return Filled(answer, result.trajectory)

@@ -354,9 +354,12 @@ class Session:
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
 
-def predicting_session(urdf: str, configuration: Configuration, source: str) -> Session:
+def predicting_session(
+    urdf: str, configuration: Configuration, source: str, loaded: LoadedModel | None = None
+) -> Session:
     """Make a session that predicts with the gains of drives of its model, see :class:`Session`."""
-    return Session(urdf, configuration, source, loaded=LoadedModel.read(configuration["model"]).to_predict)
+    loaded = loaded or LoadedModel.read(configuration["model"])
+    return Session(urdf, configuration, source, loaded=loaded.to_predict)
 
 
 def installed_version() -> str:

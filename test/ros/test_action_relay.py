@@ -30,10 +30,10 @@ from geomid_ros.ros.controller import ActionRelay, Filled, message_of
 
 from .actions import Client, FollowJointTrajectory, ended
 from .stage import Stage
-from .test_feedforward import model, motion
+from .test_feedforward import identified, model, motion
 from .waiting import PATIENCE
 
-__all__ = ["model"]  # a fixture
+__all__ = ["identified", "model"]  # a fixture
 
 MOTION = Trajectory(("a",), np.array([0.5, 2.25]), np.ones((2, 1)), np.zeros((2, 1)), np.ones((2, 1)))
 TOO_FAST = "too fast"  # a joint that the robot of these tests has not the efforts for

@@ -14,10 +14,16 @@ from geometry_msgs.msg import InertiaStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
 
+from geomid_ros.excitation.motion import Trajectory
+from geomid_ros.files.models.estimate_file import link_entry
+from geomid_ros.model.robot import Robot
+from geomid_ros.ros.controller import message_of
 from geomid_ros.ros.outputs import ros_time
 from geomid_ros.types import FloatArray
 
+from .observer import latched
 from .processes import Process
 from .stage import Stage
 
@@ -161,3 +167,32 @@ def test_it_ends_where_something_else_has_changed(stage: Stage, relay: Process) 
     assert relay.output.count("is left out") == 2
     gaps.publish(String(data=json.dumps({"findings": [{"effect": "payload"}, {"effect": "viscous_friction"}]})))
     stage.observer.wait_for(lambda: "off until ~/reset: /geomid/gap found viscous friction" in relay.output, "the end")
+
+
+def test_what_is_carried_stays_with_a_newer_estimate(stage: Stage) -> None:
+    """It is used with the next trajectory, whether that reaches a controller or not."""
+    parameters = {"heaviest_payload": 2.0, "use_sim_time": True}
+    relay, node = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False), stage.observer.node
+    estimates = node.create_publisher(String, "/geomid/estimate", latched(1))
+    sent = node.create_publisher(JointTrajectory, "/geomid_feedforward/joint_trajectory", 10)
+    urdf = URDF.read_text()
+    links = [link_entry(body.name, body.merged, body.parameters) for body in Robot(urdf).bodies if body.joint]
+    estimate = {"format": 1, "links": links, "effects": [], "robot_description": urdf}
+    estimates.publish(String(data=json.dumps(estimate)))
+    lockstep = Lockstep(stage)
+    lockstep.run(5, loaded=False)
+    lockstep.run(60)
+    before = len(lockstep.inertias)
+    links[-1]["mass"] += 0.01
+    estimates.publish(String(data=json.dumps(estimate)))
+    rest = np.zeros((2, len(JOINTS)))
+    still = message_of(Trajectory(tuple(JOINTS), np.array([0.0, 1.0]), rest + POSITION, rest, rest))
+
+    def is_used() -> bool:
+        sent.publish(still)
+        lockstep.run(1)
+        return relay.output.count("efforts are those of /geomid/estimate") > 1
+
+    stage.observer.wait_for(is_used, "the newer estimate")
+    lockstep.run(3)
+    assert min(message.inertia.m for message in lockstep.inertias[before:]) > links[-1]["mass"] + 0.2

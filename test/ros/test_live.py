@@ -37,6 +37,7 @@ TOPICS: dict[str, tuple[type, str]] = {
 KEPT: dict[str, tuple[type, str]] = {  # for those who come late
     "inertias": (InertiaStamped, "/geomid/inertias"),
     "descriptions": (String, "/geomid/robot_description"),
+    "estimates": (String, "/geomid/estimate"),
     "markers": (MarkerArray, "/geomid/markers"),
 }
 
@@ -80,14 +81,22 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
     return run
 
 
+def masses_of(document: dict[str, Any]) -> list[float]:
+    """Of the links in an estimate.json."""
+    return [link["mass"] for link in document["links"]]
+
+
 def has_come(run: Live) -> bool:
     """Whether the saved estimate has come on all topics: who comes late gets those before it first."""
-    masses = [link["mass"] for link in run.saved["links"]]
+    masses = masses_of(run.saved)
     inertias = (run.inertias, run.late_inertias)
     return (
         all([message.inertia.m for message in heard[-len(masses) :]] == masses for heard in inertias)
         and all(heard and heard[-1].data == run.urdf for heard in (run.descriptions, run.late_descriptions))
         and bool(run.late_markers)
+        and all(
+            heard and masses_of(json.loads(heard[-1].data)) == masses for heard in (run.estimates, run.late_estimates)
+        )
     )
 
 
@@ -112,6 +121,14 @@ def test_live_equals_the_bag(live: Live) -> None:
     for our, their in zip(live.saved["effects"], live.offline["effects"], strict=True):
         assert (our["name"], our["joint"]) == (their["name"], their["joint"])
         assert our["value"] == pytest.approx(their["value"], rel=SAME)
+
+
+def test_the_last_estimate_is_the_saved_one_with_its_description(live: Live) -> None:
+    told = json.loads(live.estimates[-1].data)
+    assert told.pop("robot_description") == live.urdf
+    assert live.late_estimates[-1].data == live.estimates[-1].data
+    differing = {key for key in told.keys() | live.saved.keys() if told.get(key) != live.saved.get(key)}
+    assert differing <= {"messages", "warnings", "notes"}  # which go on
 
 
 def of_message(message: InertiaStamped) -> dict[str, Any]:

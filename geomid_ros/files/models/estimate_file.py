@@ -23,6 +23,7 @@ from geomid_ros.estimation.estimate import (
     LinksInformation,
     WeighedEstimate,
 )
+from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import check_quantity, combined, effects_entries, updated_effects
 from geomid_ros.files.schema import (
     FORMAT,
@@ -31,7 +32,7 @@ from geomid_ros.files.schema import (
     attributes_entry,
     from_base64,
     from_document,
-    read_document,
+    parse_document,
     to_base64,
     to_document,
     triangle_from_base64,
@@ -179,7 +180,8 @@ class ChannelEntry:
 class EstimateFile:
     """A file written by ``geomid identify`` or ``geomid gap``, or by a person, with as much as is known.
 
-    ``source`` names it in messages; ``document`` is its full content. Properties raise InputError for invalid content.
+    ``source`` names it in messages; ``document`` is its full content. A node's message has the identified URDF as its
+    ``robot_description``. Properties raise InputError for invalid content.
     Only files of ``geomid identify`` have everything that a page shows (:data:`OF_PAGE`).
     """
 
@@ -189,6 +191,7 @@ class EstimateFile:
     effects: tuple[CoefficientEntry, ...]
     added: tuple[AddedEffect, ...] = ()
     robot: str = ""
+    robot_description: str = ""
     converged: bool = True
     reason: str = ""
     verdict: VerdictEntry = VerdictEntry(result="")
@@ -216,8 +219,12 @@ class EstimateFile:
     @staticmethod
     def read(path: Path) -> EstimateFile:
         """Read a file. Raises InputError naming it and the key that is wrong."""
-        document = read_document(path, "model", ("links", "effects"))
-        return EstimateFile.of(document, str(path))
+        return EstimateFile.parse(read_text(path, "model"), str(path))
+
+    @staticmethod
+    def parse(text: str, source: str) -> EstimateFile:
+        """Read the text of a file. Raises InputError naming the ``source`` and the key that is wrong."""
+        return EstimateFile.of(parse_document(text, source, "model", ("links", "effects")), source)
 
     @staticmethod
     def of(document: Mapping[str, Any], source: str) -> EstimateFile:
