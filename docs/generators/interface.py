@@ -40,6 +40,8 @@ _MEANINGS = {
     "~/markers": "ellipsoids for RViz, blue: from the prior, orange: from the data",
     "~/gap": "findings of `~/find_gap`, as `gap.json`, with `compared_with` while a gap is open; "
     "only `error` if it failed",
+    "~/gap/open": "channels in which a gap is open, when one opens or closes: `channel`, `times_floor`, and the stamp "
+    "`since` in ns",
     "~/payload": "result of `~/payload/loaded`, as printed by `geomid payload --json`; only `error` if it failed",
     "~/payload/inertia": "payload that was picked up, in the frame of the link `frame_id`; all zeros after it was put "
     "down",

@@ -95,6 +95,7 @@ class Solver:
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
         self._reported: CarriedPayload | None = None  # last payload passed to the listener
+        self._reported_gaps: set[str] | None = None  # channels of the last gaps passed to the listener
         self._lock = threading.RLock()  # held briefly, for all fields below
         self.estimate: Estimate | None = None  # the last one
         self._earlier: deque[tuple[int, Estimate]] = deque(maxlen=_EARLIER)  # latest ones, with their sample counts
@@ -246,9 +247,17 @@ class Solver:
             while detector.test():
                 self._judge_rows(detector)
             self._judge_rows(detector)
-            if detector is self.detector and (carried := self.payload) is not self._reported:
-                self._reported = carried
-                self._listener.on_payload(carried)
+            if detector is self.detector:
+                self._report_changes(detector)
+
+    def _report_changes(self, detector: ChangeDetector) -> None:
+        if (carried := self.payload) is not self._reported:
+            self._reported = carried
+            self._listener.on_payload(carried)
+        gaps = [gap for gap in detector.gaps if gap.since is not None]
+        if (channels := {gap.channel for gap in gaps}) != self._reported_gaps:
+            self._reported_gaps = channels
+            self._listener.on_gaps(gaps)
 
     def _judge_rows(self, detector: ChangeDetector) -> None:
         """Leave out what the detector found to be changed, and accept for good what is sound."""

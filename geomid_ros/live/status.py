@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -53,6 +53,9 @@ class Listener:
 
     def on_estimate(self, session: Session, estimate: Estimate) -> None:
         """Receive a new estimate."""
+
+    def on_gaps(self, gaps: Sequence[ChannelGap]) -> None:
+        """Receive the channels in which a gap is open from now on."""
 
     def on_payload(self, carried: CarriedPayload | None) -> None:
         """Receive the payload that is carried from now on; None if there is none."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from operator import attrgetter
 
@@ -21,7 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate, effort_deviations
 from geomid_ros.exports.payload import Payload
-from geomid_ros.files.schema import FORMAT
+from geomid_ros.files.schema import FORMAT, attributes_entry
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.effort_predictor import EffortPredictor, Predicted
 from geomid_ros.live.inbox import Received
@@ -30,6 +30,7 @@ from geomid_ros.live.status import Listener
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion
+from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.startup import POLL
@@ -65,6 +66,7 @@ class Outputs(Listener):
         self._estimates = create(String, "~/estimate", latched())
         self._ellipsoids = create(MarkerArray, "~/markers", latched())
         self._findings = create(String, "~/gap", latched())
+        self._gaps = create(String, "~/gap/open", latched())
         self._carried = create(InertiaStamped, "~/payload/inertia", latched())
         self._link = ""  # that carried the last payload
         self._payloads = create(String, "~/payload", latched())
@@ -102,6 +104,11 @@ class Outputs(Listener):
         """Publish the result of a search for a gap."""
         self._findings.publish(String(data=json.dumps({"format": FORMAT, **status.document}, indent=2)))
         self._node.get_logger().info(status.sentence)
+
+    def on_gaps(self, gaps: Sequence[ChannelGap]) -> None:
+        """Publish the channels in which a gap is open."""
+        entries = [attributes_entry(gap, "channel", "times_floor", "since") for gap in gaps]
+        self._gaps.publish(String(data=json.dumps({"format": FORMAT, "gaps": entries})))
 
     def on_payload(self, carried: CarriedPayload | None) -> None:
         """Publish the payload that was picked up, and predict with it; all zeros after it was put down."""

@@ -28,11 +28,10 @@ from trajectory_msgs.msg import JointTrajectory
 from geomid_ros.api.feedforward import check_model, fill_efforts, robot_to_move
 from geomid_ros.control.correction import LONGEST_FAULT, Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
-from geomid_ros.errors import GeomidError, InputError, one_line
+from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.trajectories import trajectory_of
-from geomid_ros.model.effects import EFFECTS
 from geomid_ros.ros.controller import NOT_SENT, ActionRelay, Filled, follow_joint_trajectory, message_of, nothing
 from geomid_ros.ros.diagnostics import status_message
 from geomid_ros.ros.inputs import given_parameters
@@ -42,7 +41,7 @@ from geomid_ros.session.options import FillOptions
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
-_GAP, _ESTIMATE = "geomid/gap", "geomid/estimate"  # of the identification node in the same namespace
+_GAPS, _ESTIMATE = "geomid/gap/open", "geomid/estimate"  # of the identification node in the same namespace
 
 
 class AdaptationNode:
@@ -73,7 +72,7 @@ class AdaptationNode:
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         node.create_subscription(JointState, "joint_states", self._on_state, latest)
-        self._gap = node.create_subscription(String, _GAP, self._on_gap, 10).topic_name
+        self._gaps = node.create_subscription(String, _GAPS, self._on_gaps, latched()).topic_name
         node.create_service(Trigger, "~/reset", self._reset)
         node.create_timer(LONGEST_FAULT / 4.0, self._send)
         node.create_timer(1.0, self._report)
@@ -144,16 +143,15 @@ class AdaptationNode:
         if self._correction.latch.reason != self._said:
             self._report()
 
-    def _on_gap(self, message: String) -> None:
-        """Switch off if the identification node found a change other than a payload."""
+    def _on_gaps(self, message: String) -> None:
+        """Switch off if the identification node notices that a joint has changed; a payload is no gap."""
         try:
-            names = [str(finding["effect"]) for finding in json.loads(message.data)["findings"]]
+            channels = {gap["channel"] for gap in json.loads(message.data)["gaps"]}
         except (ValueError, TypeError, KeyError, RecursionError):
-            self._node.get_logger().warning(f"a message on {self._gap} is left out: it has no findings")
+            self._node.get_logger().warning(f"a message on {self._gaps} is left out: it names no gaps")
             return
-        others = [name for name in names if name not in EFFECTS or EFFECTS[name].place != "link"]
-        if others:
-            self._correction.latch.switch_off(one_line(f"{self._gap} found {others[0].replace('_', ' ')}"))
+        if changed := [joint for joint in self._joints if joint in channels]:
+            self._correction.latch.switch_off(f"joint '{changed[0]}' has changed, not by a payload ({self._gaps})")
             self._report()
 
     def _report(self) -> None:

@@ -158,15 +158,15 @@ def test_joint_states_that_lack_something_are_named_and_not_used(stage: Stage) -
 
 def test_it_ends_where_something_else_has_changed(stage: Stage, relay: Process) -> None:
     lockstep = Lockstep(stage)
-    gaps = stage.observer.node.create_publisher(String, "/geomid/gap", 10)
+    gaps = stage.observer.node.create_publisher(String, "/geomid/gap/open", latched(1))
     stage.observer.wait_for(lambda: gaps.get_subscription_count() > 0, "the relay")
-    for text in ("[", "[]", json.dumps({"findings": [{"effect": "payload"}]})):
+    for text in ("[", "[]", json.dumps({"gaps": []}), json.dumps({"gaps": [{"channel": "/wrench/fx"}]})):
         gaps.publish(String(data=text))
         lockstep.run(10)
     assert "off until" not in relay.output
     assert relay.output.count("is left out") == 2
-    gaps.publish(String(data=json.dumps({"findings": [{"effect": "payload"}, {"effect": "viscous_friction"}]})))
-    stage.observer.wait_for(lambda: "off until ~/reset: /geomid/gap found viscous friction" in relay.output, "the end")
+    gaps.publish(String(data=json.dumps({"gaps": [{"channel": "/wrench/fx"}, {"channel": "joint2"}]})))
+    stage.observer.wait_for(lambda: "off until ~/reset: joint 'joint2' has changed" in relay.output, "the end")
 
 
 def test_what_is_carried_stays_with_a_newer_estimate(stage: Stage) -> None:

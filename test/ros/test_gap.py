@@ -164,6 +164,7 @@ def test_friction_that_grows_opens_a_gap(stage: Stage, rubbing: list[Recorded], 
     node = stage.node({**ARM3, "solve_period": 0.5, "output_folder": str(tmp_path / "out")})
     observer, items = stage.observer, growing(rubbing)
     before, after = seconds(items, 0.0, CHANGE), seconds(items, CHANGE, SECONDS)
+    told = observer.collect(String, "/geomid/gap/open", latched())
     observer.publish(before, {"/joint_states": JointState})
     first = stage.fed({"joint_states": len(before)}).status[0]
     assert not first.message.startswith("gap"), first.message
@@ -190,6 +191,8 @@ def test_friction_that_grows_opens_a_gap(stage: Stage, rubbing: list[Recorded], 
     assert found["was"]["level"] == pytest.approx(LEVEL, rel=0.05), "as it was"
     assert observer.trigger("/geomid/reset")[0]
     observer.diagnostics(lambda values, _: "gap joint2" not in values, "a watch that starts afresh")
+    observer.wait_for(lambda: len(told) > 2, "the end of the gap")
+    assert [[gap["channel"] for gap in json.loads(message.data)["gaps"]] for message in told] == [[], ["joint2"], []]
     observer.publish([later(item, HOUR) for item in rubbing], {"/joint_states": JointState})
     stage.fed({"joint_states": len(items) + len(rubbing)})
     observer.diagnostics(lambda values, _: "converged" in values, "an estimate")
