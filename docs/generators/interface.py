@@ -25,7 +25,8 @@ _MEANINGS = {
     "joint_states": "joints in any order; they move by their positions, velocities tell wrong stamps and units",
     "robot_description": "the URDF, unless it is given as a parameter",
     "odom": "pose of a floating base, with `floating_base`",
-    "joint_commands": "set-points of joints whose efforts are not measured, with `command.gains`",
+    "joint_commands": "set-points of joints whose efforts are not measured, with `command.gains`; also while "
+    "`~/streamed_joint_commands` has a subscriber",
     "imu": "angular velocity and acceleration of a floating base, with `imu.frame`",
     "NAME": "one for every sensor in `wrenches`, here `NAME`; `wrench.NAME.topic` sets another topic",
     "~/inertias": "one message per link; `frame_id` is the link, `com` in its frame, "
@@ -35,6 +36,8 @@ _MEANINGS = {
     "~/predicted_joint_states": "predicted efforts, filtered motion, stamped as the data; only with a subscriber",
     "~/streamed_joint_states": "predicted efforts of every message, milliseconds after it, and its motion; only with a "
     "subscriber",
+    "~/streamed_joint_commands": "feed-forward efforts of every message on `joint_commands`, milliseconds after it, by "
+    "the last usable estimate; only with a subscriber",
     "~/predicted_efforts_std": "standard deviations of the predicted efforts, from the joint posterior; only with a "
     "subscriber",
     "~/markers": "ellipsoids for RViz, blue: from the prior, orange: from the data",

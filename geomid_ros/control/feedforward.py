@@ -15,7 +15,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.excitation.motion import Trajectory
-from geomid_ros.model.dynamics import InverseDynamics
+from geomid_ros.model.dynamics import InverseDynamics, motor_parameters
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -61,9 +61,7 @@ class MotorEfforts:
         self._robot = robot
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains, self._load_gains = gains[self._order], model.drive_gains[self._order]
-        in_motors = np.logical_not([c.effect.is_sensor_error for c in model.coefficients])
-        motor_parameters = parameters * np.append(np.ones(len(model.nominal_inertias)), in_motors)
-        self._dynamics = InverseDynamics(model, motor_parameters)
+        self._dynamics = InverseDynamics(model, motor_parameters(model, parameters))
         self.limits = robot.effort_limits[self._order] / np.abs(self._gains)
         """Effort limits of the URDF ``(joints,)`` in the messages' unit, infinite where it has none."""
 

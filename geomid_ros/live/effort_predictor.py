@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.model.dynamics import InverseDynamics
+from geomid_ros.model.dynamics import InverseDynamics, motor_parameters
 from geomid_ros.monitoring.payload_watch import CarriedPayload, with_payload
 from geomid_ros.session.session import Session
 from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.message_batch import NO_STAMP
-from geomid_ros.signals.messages import JOINT_STATES, Decoder
+from geomid_ros.signals.messages import COMMANDS, JOINT_STATES, Decoder
 from geomid_ros.signals.pipeline import ignore
 from geomid_ros.signals.settings import SAMPLES_PER_CUTOFF_PERIOD
 from geomid_ros.types import FloatArray, IntArray
@@ -36,13 +36,16 @@ class Predicted:
 
 
 class EffortPredictor:
-    """Predicts efforts with the latest estimate and payload. One thread calls :meth:`set_model` and
-    :meth:`set_payload`, another everything else.
+    """Predicts efforts with the latest estimate and payload: of joint states what sensors measure, of commands what
+    motors need. One thread calls :meth:`set_model` and :meth:`set_payload`, another everything else.
 
-    Accelerations are differences of velocities after a first-order low-pass at half the rate of the samples.
+    Accelerations are differences of velocities; those of joint states pass a first-order low-pass at half the rate of
+    the samples.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, topic: str = JOINT_STATES) -> None:
+        """``topic`` of the messages: JOINT_STATES or COMMANDS."""
+        self._topic = topic
         self._decoder = Decoder()
         self._model: _Model | None = None
         self._used: tuple[Session, Estimate] | None = None
@@ -62,7 +65,14 @@ class EffortPredictor:
         """Predict with an ``estimate`` from now on."""
         self._used = session, estimate
         self.obstacle = _obstacle(session)
-        self._model = None if self.obstacle else _Model(session, with_payload(estimate, self._carried))
+        self._model = None if self.obstacle else self._new_model(session, with_payload(estimate, self._carried))
+
+    def _new_model(self, session: Session, estimate: Estimate) -> _Model:
+        parameters, drive_gains = estimate.predictor
+        bandwidth = np.pi * SAMPLES_PER_CUTOFF_PERIOD * session.signals.cutoff
+        if self._topic == COMMANDS:  # they have no noise
+            parameters, bandwidth = motor_parameters(session.model, parameters), np.inf
+        return _Model(session, InverseDynamics(session.model.with_drive_gains(drive_gains), parameters), bandwidth)
 
     def set_payload(self, carried: CarriedPayload | None) -> None:
         """Predict with this payload from now on, or with none."""
@@ -81,7 +91,7 @@ class EffortPredictor:
         model = self._model
         if model is None or not messages:
             return
-        for block in self._decoder.blocks([(JOINT_STATES, data) for data in messages], ignore):
+        for block in self._decoder.blocks([(self._topic, data) for data in messages], ignore):
             numbers, refusals = model.reader.numbers(block)
             good = (refusals == None) & (block.stamps > 0)  # noqa: E711 by element
             stamps = block.stamps
@@ -116,7 +126,7 @@ class EffortPredictor:
             velocity[1:][unknown] = (np.where(model.turning, turned, moved) / seconds)[unknown]
             velocity[1:] = np.where(unknown & ~is_new, velocity[before], velocity[1:])
         # Repeated messages, and those out of order, have no information on accelerations.
-        gains = np.where(is_new, -np.expm1(-seconds / model.time_constant), 0.0)
+        gains = np.where(is_new, -np.expm1(-seconds * model.bandwidth), 0.0)
         rates = (velocity[1:] - velocity[before]) / seconds
         for following, (earlier, gain, rate) in enumerate(zip(before, gains, rates, strict=True), 1):
             acceleration[following] = acceleration[earlier] + gain * (rate - acceleration[earlier])
@@ -136,18 +146,16 @@ def _obstacle(session: Session) -> str:
 
 
 class _Model:
-    """Data of a session and its estimate: inverse ``dynamics``, ``gains (joints,)`` of efforts, ``turning`` joints
-    without limits, the low-pass's ``time_constant`` [s] and its ``memory`` [ns], after which it is reset; ``merges`` if
+    """Data of a session, and of its estimate: inverse ``dynamics``, ``gains (joints,)`` of efforts, ``turning`` joints
+    without limits, the low-pass's ``bandwidth`` [1/s] and its ``memory`` [ns], after which it is reset; ``merges`` if
     each message has only some joints."""
 
-    def __init__(self, session: Session, estimate: Estimate) -> None:
+    def __init__(self, session: Session, dynamics: InverseDynamics, bandwidth: float) -> None:
         robot, settings = session.robot, session.signals
-        self.joints = robot.joint_names
-        parameters, drive_gains = estimate.predictor
-        self.dynamics = InverseDynamics(session.model.with_drive_gains(drive_gains), parameters)
+        self.joints, self.dynamics = robot.joint_names, dynamics
         self.gains = session.effort_gains
         self.turning = np.array([joint.continuous for joint in robot.joints])
         self.memory = settings.max_gap_ns
         self.reader = JointReader(self.joints, self.gains, self.turning, self.memory, ignore)
         self.merges: bool = session.configuration["merge_joint_states"]
-        self.time_constant = 1.0 / (np.pi * SAMPLES_PER_CUTOFF_PERIOD * settings.cutoff)
+        self.bandwidth = bandwidth

@@ -118,6 +118,12 @@ def _carried_wrench(
     return np.array(link_frame.placement.actInv(wrench).vector)
 
 
+def motor_parameters(model: MeasurementModel, parameters: FloatArray) -> FloatArray:
+    """Parameters ``(D,)`` without errors of effort sensors, which move nothing."""
+    in_motors = np.logical_not([c.effect.is_sensor_error for c in model.coefficients])
+    return np.asarray(parameters * np.append(np.ones(len(model.nominal_inertias)), in_motors))
+
+
 class InverseDynamics:
     """Motor efforts of a motion, by the recursive Newton-Euler algorithm and the effects' columns.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate, pairwise
@@ -144,6 +144,8 @@ class Inputs:
         self._inputs: list[_Input] = []
         self.names: dict[str, str] = {}
         """Resolved names of the topics that were subscribed to."""
+        self.only_streams_commands = False
+        """True if commands are subscribed to only to be streamed."""
 
     def subscribe_data(self, kind: type, name: str, several: bool = False) -> None:
         """Subscribe to data, which wait until :meth:`poll` polls them.
@@ -171,16 +173,32 @@ class Inputs:
         for sensor in configuration.sensors:
             self.subscribe_data(WrenchStamped, sensor.topic)
 
+    def stream_commands(self, wanted: bool) -> None:
+        """Subscribe to commands while they are ``wanted``, if nothing else needs them and other data are subscribed
+        to."""
+        wanted = wanted and any(entry.kind for entry in self._inputs)
+        if wanted and not any(entry.name == COMMANDS for entry in self._inputs):
+            self.subscribe_data(JointState, COMMANDS)
+            self.only_streams_commands = True
+        elif not wanted and self.only_streams_commands:
+            self._unsubscribe({COMMANDS})
+
     def subscribe(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe to a topic other than data."""
         self._subscribe(_Input(name, several=True, kind=None), kind, callback, qos)
 
     def close(self) -> None:
         """Unsubscribe from data."""
+        self._unsubscribe({entry.name for entry in self._inputs if entry.kind})
+
+    def _unsubscribe(self, topics: Collection[str]) -> None:
         for entry in self._inputs:
-            if entry.kind:
+            if entry.name in topics:
                 self._node.destroy_subscription(entry.subscription)
-        self._inputs = [entry for entry in self._inputs if not entry.kind]  # messages sent meanwhile are not lost
+        self._inputs = [
+            entry for entry in self._inputs if entry.name not in topics
+        ]  # messages sent meanwhile are not lost
+        self.only_streams_commands &= COMMANDS not in topics
 
     def poll(self, topic: str | None = None) -> list[Received]:
         """Poll the data of all topics, or of one. They are serialised, as many are decoded at once, and in their order

@@ -36,7 +36,7 @@ from geomid_ros.ros.outputs import Outputs, Streaming, latched
 from geomid_ros.ros.startup import starting_ros
 from geomid_ros.session.configuration import AT_ANY_TIME, BY_NAME, Configuration, find_parameter
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.messages import read_without_rosbags
+from geomid_ros.signals.messages import COMMANDS, JOINT_STATES, read_without_rosbags
 
 _TOPIC = f"topic {DESCRIPTION}"
 _CHANGED = "the robot description has changed; it is used after ~/reset"
@@ -88,9 +88,9 @@ class GeomidNode(LifecycleNodeMixin, Node):
         create = self.create_publisher if lifecycle == "none" else self.create_lifecycle_publisher
         self._ledger = Ledger()
         self._inputs = Inputs(self, self._ledger)
-        predictor = EffortPredictor()
-        self._streaming = Streaming(self, self._inputs, predictor, self._console.warning)
-        self._outputs = Outputs(self, create, predictor)
+        predictors = {topic: EffortPredictor(topic) for topic in (JOINT_STATES, COMMANDS)}
+        self._streaming = Streaming(self, self._inputs, predictors, self._console.warning)
+        self._outputs = Outputs(self, create, predictors)
         self._search = BackgroundSearch("no finding", self._outputs.publish_gap)
         self._payload = PayloadSearch(self._outputs.publish_identified_payload)
         self._dashboard: DashboardProcess | None = None

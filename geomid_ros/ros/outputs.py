@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from operator import attrgetter
 
@@ -19,6 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from geomid_ros.checks.verdict import USABLE
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate, effort_deviations
 from geomid_ros.exports.payload import Payload
 from geomid_ros.files.schema import FORMAT, attributes_entry
@@ -35,7 +36,7 @@ from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.startup import POLL
 from geomid_ros.session.session import Session, document, identified_urdf
-from geomid_ros.signals.messages import JOINT_STATES
+from geomid_ros.signals.messages import COMMANDS, JOINT_STATES
 from geomid_ros.types import FloatArray
 
 _LARGEST_MARKER = 2.0  # [m] an unidentifiable link may have any size, which RViz need not show
@@ -49,15 +50,15 @@ def latched(depth: int = 1) -> QoSProfile:
 class Outputs(Listener):
     """Publishes inertias, predicted efforts, the identified URDF, markers and findings, from any thread."""
 
-    def __init__(self, node: Node, create: Callable[..., Publisher], predictor: EffortPredictor) -> None:
+    def __init__(self, node: Node, create: Callable[..., Publisher], predictors: Mapping[str, EffortPredictor]) -> None:
         """
         Args:
             node: publishes its results.
             create: its method that makes publishers.
-            predictor: predicts with each new estimate.
+            predictors: those of joint states predict with each new estimate, those of commands with usable ones.
         """
         self._node = node
-        self._predictor = predictor
+        self._predictors = predictors
         self._inertias = create(InertiaStamped, "~/inertias", latched(256))
         self._links: list[str] = []  # of the last estimate
         self._predictions = create(JointState, "~/predicted_joint_states", 1000)
@@ -82,11 +83,13 @@ class Outputs(Listener):
 
     def on_estimate(self, session: Session, estimate: Estimate) -> None:
         """Publish an estimate, and predict with it."""
-        self._predictor.set_model(session, estimate)
-        self.publish_estimate(session, estimate)
+        self._predictors[JOINT_STATES].set_model(session, estimate)
+        if self.publish_estimate(session, estimate):
+            self._predictors[COMMANDS].set_model(session, estimate)
 
-    def publish_estimate(self, session: Session, estimate: Estimate) -> None:
-        """Publish an estimate; all zeros as inertias of links that only the one before had."""
+    def publish_estimate(self, session: Session, estimate: Estimate) -> bool:
+        """Publish an estimate; all zeros as inertias of links that only the one before had. Return True if it is
+        usable."""
         stamp = self._node.get_clock().now().nanoseconds
         before, self._links = self._links, [link.name for link in estimate.links]
         for name in before:
@@ -94,11 +97,12 @@ class Outputs(Listener):
                 self._inertias.publish(InertiaStamped(header=Header(frame_id=name, stamp=ros_time(stamp))))
         for link in estimate.links:
             self._inertias.publish(inertia_message(link.name, link.parameters, stamp))
-        urdf = identified_urdf(session, estimate)
+        urdf, whole = identified_urdf(session, estimate), document(session, estimate)
         self._identified.publish(String(data=urdf))
-        self._estimates.publish(String(data=json.dumps(document(session, estimate) | {"robot_description": urdf})))
+        self._estimates.publish(String(data=json.dumps(whole | {"robot_description": urdf})))
         markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
         self._ellipsoids.publish(MarkerArray(markers=[Marker(action=Marker.DELETEALL), *markers]))
+        return bool(whole["verdict"]["result"] == USABLE)
 
     def publish_gap(self, status: SearchStatus[FoundGap]) -> None:
         """Publish the result of a search for a gap."""
@@ -112,7 +116,8 @@ class Outputs(Listener):
 
     def on_payload(self, carried: CarriedPayload | None) -> None:
         """Publish the payload that was picked up, and predict with it; all zeros after it was put down."""
-        self._predictor.set_payload(carried)
+        for predictor in self._predictors.values():
+            predictor.set_payload(carried)
         self._link = carried.link if carried is not None else self._link
         stamp = self._node.get_clock().now().nanoseconds
         message = InertiaStamped() if carried is None else inertia_message(carried.link, carried.parameters, stamp)
@@ -169,66 +174,105 @@ def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
     return marker
 
 
-class Streaming:
-    """Publishes ``~/streamed_joint_states`` while it has subscribers, and keeps the messages for the worker."""
+class _Stream:
+    """Publishes predictions for the messages of a ``topic`` while it has subscribers."""
 
-    def __init__(self, node: Node, inputs: Inputs, predictor: EffortPredictor, warn: Callable[[str], None]) -> None:
-        """
-        Args:
-            node: publishes.
-            inputs: where messages wait.
-            predictor: predicts them.
-            warn: receives the reason why messages are not streamed.
-        """
-        self._inputs, self._predictor, self._warn = inputs, predictor, warn
-        self._publisher = node.create_publisher(JointState, "~/streamed_joint_states", 1000)
-        self._early: list[Received] = []
+    def __init__(self, node: Node, topic: str, predictor: EffortPredictor, warn: Callable[[str], None]) -> None:
+        self.topic, self.predictor, self._warn = topic, predictor, warn
+        self._publisher = node.create_publisher(JointState, f"~/streamed_{topic}", 1000)
         self._warned: set[str] = set()
 
     def forget(self) -> None:
-        """Predict nothing until the next estimate."""
-        self._predictor.forget()
+        self.predictor.forget()
         self._warned.clear()
 
-    def drain(self) -> list[Received]:
-        """Return all messages that were not taken yet."""
-        messages, self._early = [*self._early, *self._inputs.poll()], []
-        return sorted(messages, key=attrgetter("time"))
+    @property
+    def has_subscribers(self) -> bool:
+        return bool(self._publisher.get_subscription_count())
 
     @property
     def active(self) -> bool:
         """True if there is a subscriber, and an estimate to predict with."""
-        return self._predictor.ready and bool(self._publisher.get_subscription_count())
+        return self.predictor.ready and self.has_subscribers
 
-    def wait(self, seconds: float) -> None:
-        """Wait, and predict messages meanwhile. An error is raised, and stops predictions until the next estimate."""
-        end = time.monotonic() + seconds
-        if self._publisher.get_subscription_count():
-            self._say(self._predictor.obstacle)
-        while self.active and time.monotonic() < end:
-            time.sleep(POLL)
-            self._predict()
-        time.sleep(max(0.0, end - time.monotonic()))
-
-    def _predict(self) -> None:
-        messages, handle = self._inputs.poll(JOINT_STATES), self._publisher.handle
-        self._early += messages
+    def publish(self, messages: Sequence[bytes]) -> None:
+        """Predict messages (CDR). An error is raised, and stops predictions until the next estimate."""
+        handle = self._publisher.handle
         try:
-            for predicted in self._predictor.predict([message.data for message in messages]):
+            for predicted in self.predictor.predict(messages):
                 with handle:
                     for data in serialised(predicted):
                         handle.publish_raw(data)
         except Exception:
             self.forget()
             raise
-        for reason in tuple(self._predictor.refused):
-            self._say(reason)
+        for reason in tuple(self.predictor.refused):
+            self.say(reason)
 
-    def _say(self, reason: str) -> None:
+    def say(self, reason: str) -> None:
         """Warn once why messages are not streamed."""
         if reason and reason not in self._warned:
             self._warned.add(reason)
             self._warn(f"{self._publisher.topic_name} lacks messages: {reason}")
+
+
+class Streaming:
+    """Publishes ``~/streamed_joint_states`` and ``~/streamed_joint_commands`` while they have subscribers, and keeps
+    the messages for the worker."""
+
+    def __init__(
+        self, node: Node, inputs: Inputs, predictors: Mapping[str, EffortPredictor], warn: Callable[[str], None]
+    ) -> None:
+        """
+        Args:
+            node: publishes.
+            inputs: where messages wait.
+            predictors: predict the messages of each topic.
+            warn: receives the reason why messages are not streamed.
+        """
+        self._inputs = inputs
+        self._streams = [_Stream(node, topic, predictor, warn) for topic, predictor in predictors.items()]
+        self._early: list[Received] = []
+
+    def forget(self) -> None:
+        """Predict nothing until the next estimate."""
+        for stream in self._streams:
+            stream.forget()
+
+    def drain(self) -> list[Received]:
+        """Return all messages that identification uses and that were not taken yet."""
+        self._take()
+        messages, self._early = self._early, []
+        unused = COMMANDS if self._inputs.only_streams_commands else ""
+        return sorted((message for message in messages if message.topic != unused), key=attrgetter("time"))
+
+    @property
+    def active(self) -> bool:
+        """True if a stream has a subscriber, and an estimate to predict with."""
+        return any(stream.active for stream in self._streams)
+
+    def wait(self, seconds: float) -> None:
+        """Wait, and predict messages meanwhile. An error is raised, and stops predictions until the next estimate."""
+        end = time.monotonic() + seconds
+        for stream in self._streams:
+            if stream.has_subscribers:
+                stream.say(stream.predictor.obstacle)
+            if stream.topic == COMMANDS:
+                self._inputs.stream_commands(stream.active)
+        while self.active and time.monotonic() < end:
+            time.sleep(POLL)
+            for stream in self._streams:
+                if stream.active:
+                    self._take(stream.topic)
+        time.sleep(max(0.0, end - time.monotonic()))
+
+    def _take(self, topic: str | None = None) -> None:
+        """Take the messages that wait, of all topics or of one, and predict them."""
+        messages = self._inputs.poll(topic)
+        self._early += messages
+        for stream in self._streams:
+            if stream.active:
+                stream.publish([message.data for message in messages if message.topic == stream.topic])
 
 
 @cache

@@ -7,19 +7,31 @@ from contextlib import AbstractContextManager
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from excitation.motions import lively
 from files.recordings import BAGS
-from live.test_stream import identification, messages
+from live.test_stream import JOINTS, identification, messages
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 import geomid_ros
+from geomid_ros.api.feedforward import robot_to_move
+from geomid_ros.control.feedforward import MotorEfforts
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live.effort_predictor import EffortPredictor
 from geomid_ros.live.inbox import Received
 from geomid_ros.ros.node import GeomidNode
-from geomid_ros.ros.outputs import Streaming
+from geomid_ros.ros.outputs import Streaming, ros_time
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.options import FillOptions
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES
+
+from .observer import MATCHING, latched
+from .stage import NO_CHOICE, Stage, description
+from .stage import messages as messages_of
 
 __all__ = ["identification"]
 HELD = {
@@ -55,9 +67,9 @@ class Listened:
         node: Any = SimpleNamespace(
             create_publisher=lambda *_: publisher,
         )
-        inputs: Any = SimpleNamespace(poll=self._take)
+        inputs: Any = SimpleNamespace(poll=self._take, only_streams_commands=False)
         self.predictor = EffortPredictor()
-        self.streaming = Streaming(node, inputs, self.predictor, self.logged.append)
+        self.streaming = Streaming(node, inputs, {JOINT_STATES: self.predictor}, self.logged.append)
 
     def _take(self, topic: str | None = None) -> list[Received]:
         taken = [message for message in self.waiting if topic in (None, message.topic)]
@@ -87,6 +99,7 @@ def test_messages_that_were_predicted_are_taken_with_all_others_as_they_came(
     listened.waiting.append(states[2])
     assert [message.time for message in listened.streaming.drain()] == [1, 1.5, 2, 2.5, 3]
     assert listened.streaming.drain() == []
+    assert len(listened.streamed) == 3, "what came last is predicted, too"
 
 
 def session(**parameters: Any) -> Session:
@@ -131,3 +144,33 @@ def test_messages_are_taken_once_more_in_a_pause_unless_they_are_predicted(activ
     node: Any = SimpleNamespace(_streaming=streaming, take_waiting=lambda: done.append("taken"))
     GeomidNode.wait(node, 1.0)
     assert done == ([1.0] if active else [0.5, "taken", 0.5])
+
+
+def test_commands_are_streamed_with_the_efforts_that_motors_need(stage: Stage) -> None:
+    """By the last estimate, while somebody subscribes; identification does not use them."""
+    observer, recorded = stage.observer, messages_of("arm3")
+    stage.node({"robot_description": description("arm3"), **NO_CHOICE})
+    estimates = observer.collect(String, "/geomid/estimate", latched())
+    observer.publish(recorded[:600], {"/joint_states": JointState})
+    observer.wait_for(lambda: estimates, "an estimate")
+    commands = observer.node.create_publisher(JointState, "/joint_commands", 10)
+    observer.spin(MATCHING)
+    assert not commands.get_subscription_count()
+    streamed = observer.collect(JointState, "/geomid/streamed_joint_commands")
+    observer.wait_for(commands.get_subscription_count, "the node")
+    observer.spin(MATCHING)
+    times = np.arange(0.0, 1.0, 0.01)
+    motion = np.array([lively(JOINTS, 1.0, 0.4).rows(times, order) for order in range(3)])
+    for time, position, velocity in zip(times, *motion[:2], strict=True):
+        message = JointState(name=JOINTS, position=position.tolist(), velocity=velocity.tolist())
+        message.header.stamp = ros_time(10**9 + round(1e9 * time))
+        commands.publish(message)
+        observer.spin(0.002)
+    observer.wait_for(lambda: len(streamed) == len(times), "all commands with efforts")
+    file = EstimateFile.parse(estimates[-1].data, "the estimate")
+    session = robot_to_move(FillOptions(), file)
+    efforts = MotorEfforts(session.model, session.known_parameters, session.effort_gains, JOINTS, "the motion")
+    errors = np.array([message.effort for message in streamed]) - efforts(motion)
+    assert np.max(np.abs(errors[20:])) < 0.05 * np.max(np.abs(efforts(motion))), "accelerations lag"
+    values = observer.diagnostics(lambda *_: True, "diagnostics").status[0].values
+    assert not [pair.key for pair in values if pair.key.startswith("joint_commands")]
