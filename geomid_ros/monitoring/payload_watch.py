@@ -399,9 +399,14 @@ class PayloadWatch:
         return False
 
     def _fit(self, block: _Block, point: Point) -> _Fit:
-        """Fit the most probable payload by Gauss-Newton steps on the manifold from a ``point``, with Laplace's
-        approximation of its evidence."""
+        """Fit the most probable payload by Gauss-Newton steps on the manifold from a ``point``, halved until they make
+        it more probable; with Laplace's approximation of its evidence."""
         likelihood, prior, precision = self._likelihood(block), self._prior, self._precision
+
+        def log_posterior(point: Point) -> float:
+            return likelihood.gain(point.parameters) - 0.5 * precision * ONE_BODY.distance(point, prior) ** 2
+
+        reached = log_posterior(point)
         for _ in range(ROUNDS):
             away, curvature = ONE_BODY.log_and_hessian(point, prior)
             jacobian = point.links_jacobian[0]
@@ -409,9 +414,14 @@ class PayloadWatch:
             slope = jacobian.T @ (likelihood.slope - likelihood.information @ point.parameters) + precision * away
             step = spd.solve_or_least_squares(hessian + precision * curvature[0], slope)
             length = float(np.linalg.norm(step))
-            if length < SETTLED:
+            share = min(1.0, LARGEST_STEP / max(length, SETTLED))
+            end = ONE_BODY.exp(point, share * step)
+            while (value := log_posterior(end)) < reached and share * length >= SETTLED:
+                share *= 0.5
+                end = ONE_BODY.exp(point, share * step)
+            if share * length < SETTLED:
                 break
-            point = ONE_BODY.exp(point, step * min(1.0, LARGEST_STEP / length))
+            point, reached = end, value
         away, curvature = ONE_BODY.log_and_hessian(point, prior)
         jacobian = point.links_jacobian[0]
         information = jacobian.T @ likelihood.information @ jacobian + precision * np.eye(SIZE)

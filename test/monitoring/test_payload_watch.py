@@ -10,6 +10,7 @@ from estimation.arms import Truth, efforts, motion, samples, shipped, truth
 
 from benchmarks.alarms.cases import Alarm, Case, Outcome
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -71,13 +72,12 @@ class Arm:
         felt[between] = efforts(self.robot, changed, self.moving)[between]
         return samples(self.moving, felt + noise * self.rng.normal(size=felt.shape), RATE)
 
-    def watched(self, measured: Samples, gain: float = 0.0) -> list[State]:
-        """Five times a second."""
-        rows, step = self.model.rows(measured), 10
+    def watch(self, gain: float = 0.0) -> PayloadWatch:
+        """For a payload of the last link."""
         links = self.model.nominal_inertias.reshape(-1, 10)
         last = len(links) - 1
         columns = slice(10 * last, 10 * last + 10)
-        watch = PayloadWatch(
+        return PayloadWatch(
             self.model.channels,
             "tool",
             columns,
@@ -87,6 +87,10 @@ class Arm:
             prior_std=PAYLOAD_PRIOR_STD,
             threshold=ALARM,
         )
+
+    def watched(self, measured: Samples, watch: PayloadWatch | None = None) -> list[State]:
+        """Five times a second."""
+        rows, step, watch = self.model.rows(measured), 10, watch or self.watch()
         detector = ChangeDetector(self.model.channels, payload=watch)
         states = []
         for begin in range(0, len(measured), step):
@@ -118,10 +122,23 @@ def test_a_payload_is_picked_up_weighed_and_put_down() -> None:
 def test_gains_of_each_joint_widen_the_interval_of_the_mass() -> None:
     """The mass follows from differences between joints, so their gains count for more than a common one."""
     arm, gain = Arm(1), 0.3
-    states = arm.watched(arm.measured(arm.loaded), gain)
+    states = arm.watched(arm.measured(arm.loaded), arm.watch(gain))
     carried = next(state.carried for state in states if state.time > BEFORE + 6.0)
     assert carried is not None
     assert np.sqrt(carried.covariance[0, 0]) > 1.1 * gain * carried.mass
+
+
+def test_the_most_probable_payload_is_found_from_everywhere() -> None:
+    """Even if the efforts ask for a body that cannot be, as a model's errors do."""
+    arm = Arm(1)
+    links, impossible = arm.truth.links.copy(), np.array([MASS, *CENTRE, -2e-2, 0.0, -2e-2, 0.0, 0.0, -2e-2])
+    links[-1] += pseudo_inertia.parameters_of(impossible)
+    measured, watch = arm.measured(replace(arm.truth, links=links), 5.0 * NOISE), arm.watch()
+    arm.watched(measured.select(slice(0, round((AFTER - 1.0) * RATE))), watch)
+    assert watch.payload is not None
+    assert watch._loaded is not None
+    starts = ONE_BODY.point(default_payload(arm.model.nominal_inertias.reshape(-1, 10), -1)), ONE_BODY.point(BALL)
+    assert ONE_BODY.distance(*(watch._fit(watch._loaded, start).point for start in starts)) < 0.05
 
 
 def test_without_a_payload_there_is_none() -> None:
