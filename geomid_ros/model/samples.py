@@ -296,7 +296,7 @@ class Samples:
         if len(parts) == 1:
             return parts[0]
         arrays: dict[str, Any] = {
-            name: np.concatenate([part.arrays[name] for part in parts]) for name in parts[0].arrays
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in parts[0].arrays
         }
         return replace(parts[0], **arrays)
 

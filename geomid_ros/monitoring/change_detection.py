@@ -272,15 +272,16 @@ class _Cusum:
             self._suspect.clear()
         elif self._evidence == 0.0 or self._moves_otherwise:
             self._evidence = 0.0
-            self._learn()
+            self._learn(joined)
             if self._moves_otherwise and not moved_otherwise:
                 self._energies.clear()
                 self._learned = 0
         if self._open and np.isfinite(self._forgetting_time):
             self._factor = joined
 
-    def _learn(self) -> None:
-        """Learn from suspect blocks as normal ones."""
+    def _learn(self, joined: FloatArray) -> None:
+        """Learn from suspect blocks as normal ones; ``joined`` is the factor with the last one."""
+        alone = len(self._suspect) == 1
         while self._suspect:
             first, energy, rows, is_typical = self._suspect.popleft()
             if is_typical and self._rows >= _FEWEST * len(self._channel.columns):
@@ -288,7 +289,7 @@ class _Cusum:
                 self._learned += 1
                 if self._learned % _MOST_BLOCKS == 0:
                     self._earlier.append(self._recent)
-            self._factor = triangular(np.concatenate([self._factor, rows]))
+            self._factor = joined if alone else triangular(np.concatenate([self._factor, rows]))
             self._rows += len(rows)
             self._unsettled.append((first, rows))
             if len(self._unsettled) > _UNSETTLED:
