@@ -31,8 +31,9 @@ _MEANINGS = {
     "NAME": "one for every sensor in `wrenches`, here `NAME`; `wrench.NAME.topic` sets another topic",
     "~/inertias": "one message per link; `frame_id` is the link, `com` in its frame, "
     "the inertia about the centre of mass in the link's axes; all zeros for a link that is no longer identified",
-    "~/robot_description": "the identified URDF",
-    "~/estimate": "the last estimate as `estimate.json`, with the identified URDF as `robot_description`",
+    "~/robot_description": "the identified URDF; only with a subscriber",
+    "~/estimate": "the last estimate as `estimate.json`, with the identified URDF as `robot_description`; only with a "
+    "subscriber",
     "~/predicted_joint_states": "predicted efforts, filtered motion, stamped as the data; only with a subscriber",
     "~/streamed_joint_states": "predicted efforts of every message, milliseconds after it, and its motion; only with a "
     "subscriber",

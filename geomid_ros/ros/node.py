@@ -90,7 +90,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
         self._inputs = Inputs(self, self._ledger)
         predictors = {topic: EffortPredictor(topic) for topic in (JOINT_STATES, COMMANDS)}
         self._streaming = Streaming(self, self._inputs, predictors, self._console.warning)
-        self._outputs = Outputs(self, create, predictors)
+        self._outputs = Outputs(self, create, self._streaming)
         self._search = BackgroundSearch("no finding", self._outputs.publish_gap)
         self._payload = PayloadSearch(self._outputs.publish_identified_payload)
         self._dashboard: DashboardProcess | None = None
@@ -205,7 +205,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
         self._search.close()
         self._payload.close()
         self._supervisor.close()
-        self._streaming.forget()
+        self._outputs.forget()
         self._report("")
 
     def _on_set(self, parameters: Sequence[RosParameter]) -> SetParametersResult:
@@ -294,6 +294,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
     def _publish_diagnostics(self) -> None:
         self._supervisor.lock_absent_joints()
         self._supervisor.restart_hung_threads()
+        self._outputs.publish_wanted()
         status = self._status()
         said, checkpoints = self._diagnostics, self._supervisor.checkpoints
         array = said.array(status, self._search.status, checkpoints.status if checkpoints else None)
@@ -330,7 +331,7 @@ class GeomidNode(LifecycleNodeMixin, Node):
         if self._urdf != self._worker.session.urdf:
             self._build(self._urdf, _TOPIC)
         self._supervisor.reset()
-        self._streaming.forget()
+        self._outputs.forget()
         self._payload.forget()
         return True, "all rows discarded"
 

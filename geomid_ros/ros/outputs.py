@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
@@ -50,15 +51,19 @@ def latched(depth: int = 1) -> QoSProfile:
 class Outputs(Listener):
     """Publishes inertias, predicted efforts, the identified URDF, markers and findings, from any thread."""
 
-    def __init__(self, node: Node, create: Callable[..., Publisher], predictors: Mapping[str, EffortPredictor]) -> None:
+    def __init__(self, node: Node, create: Callable[..., Publisher], streaming: Streaming) -> None:
         """
         Args:
             node: publishes its results.
             create: its method that makes publishers.
-            predictors: those of joint states predict with each new estimate, those of commands with usable ones.
+            streaming: predicts joint states with each new estimate, and commands with usable ones.
         """
         self._node = node
-        self._predictors = predictors
+        self._streaming = streaming
+        self._lock = threading.Lock()  # held while expensive results are computed
+        self._last: tuple[Session, Estimate] | None = None
+        self._described: Estimate | None = None  # published as a robot description
+        self._judged: Estimate | None = None  # published as a whole, with its verdict
         self._inertias = create(InertiaStamped, "~/inertias", latched(256))
         self._links: list[str] = []  # of the last estimate
         self._predictions = create(JointState, "~/predicted_joint_states", 1000)
@@ -83,13 +88,11 @@ class Outputs(Listener):
 
     def on_estimate(self, session: Session, estimate: Estimate) -> None:
         """Publish an estimate, and predict with it."""
-        self._predictors[JOINT_STATES].set_model(session, estimate)
-        if self.publish_estimate(session, estimate):
-            self._predictors[COMMANDS].set_model(session, estimate)
+        self._streaming.predictors[JOINT_STATES].set_model(session, estimate)
+        self.publish_estimate(session, estimate)
 
-    def publish_estimate(self, session: Session, estimate: Estimate) -> bool:
-        """Publish an estimate; all zeros as inertias of links that only the one before had. Return True if it is
-        usable."""
+    def publish_estimate(self, session: Session, estimate: Estimate) -> None:
+        """Publish an estimate; all zeros as inertias of links that only the one before had."""
         stamp = self._node.get_clock().now().nanoseconds
         before, self._links = self._links, [link.name for link in estimate.links]
         for name in before:
@@ -97,12 +100,33 @@ class Outputs(Listener):
                 self._inertias.publish(InertiaStamped(header=Header(frame_id=name, stamp=ros_time(stamp))))
         for link in estimate.links:
             self._inertias.publish(inertia_message(link.name, link.parameters, stamp))
-        urdf, whole = identified_urdf(session, estimate), document(session, estimate)
-        self._identified.publish(String(data=urdf))
-        self._estimates.publish(String(data=json.dumps(whole | {"robot_description": urdf})))
         markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
         self._ellipsoids.publish(MarkerArray(markers=[Marker(action=Marker.DELETEALL), *markers]))
-        return bool(whole["verdict"]["result"] == USABLE)
+        self._last, self._described, self._judged = (session, estimate), None, None
+        self.publish_wanted()
+
+    def publish_wanted(self) -> None:
+        """Publish those results of the last estimate that are expensive, if there are subscribers that have not
+        received them, and feed commands forward with it if it is usable."""
+        with self._lock:
+            if self._last is None:
+                return
+            session, estimate = self._last
+            if self._described is not estimate and self._identified.get_subscription_count():
+                self._described = estimate
+                self._identified.publish(String(data=identified_urdf(session, estimate)))
+            wanted = self._estimates.get_subscription_count() or self._streaming.is_wanted(COMMANDS)
+            if self._judged is not estimate and wanted:
+                self._judged = estimate
+                whole = document(session, estimate) | {"robot_description": identified_urdf(session, estimate)}
+                self._estimates.publish(String(data=json.dumps(whole)))
+                if whole["verdict"]["result"] == USABLE:
+                    self._streaming.predictors[COMMANDS].set_model(session, estimate)
+
+    def forget(self) -> None:
+        """Publish and predict nothing more of the last estimate."""
+        self._last = None
+        self._streaming.forget()
 
     def publish_gap(self, status: SearchStatus[FoundGap]) -> None:
         """Publish the result of a search for a gap."""
@@ -116,7 +140,7 @@ class Outputs(Listener):
 
     def on_payload(self, carried: CarriedPayload | None) -> None:
         """Publish the payload that was picked up, and predict with it; all zeros after it was put down."""
-        for predictor in self._predictors.values():
+        for predictor in self._streaming.predictors.values():
             predictor.set_payload(carried)
         self._link = carried.link if carried is not None else self._link
         stamp = self._node.get_clock().now().nanoseconds
@@ -230,7 +254,7 @@ class Streaming:
             predictors: predict the messages of each topic.
             warn: receives the reason why messages are not streamed.
         """
-        self._inputs = inputs
+        self._inputs, self.predictors = inputs, predictors
         self._streams = [_Stream(node, topic, predictor, warn) for topic, predictor in predictors.items()]
         self._early: list[Received] = []
 
@@ -245,6 +269,10 @@ class Streaming:
         messages, self._early = self._early, []
         unused = COMMANDS if self._inputs.only_streams_commands else ""
         return sorted((message for message in messages if message.topic != unused), key=attrgetter("time"))
+
+    def is_wanted(self, topic: str) -> bool:
+        """True if somebody subscribes to the stream of a topic's messages."""
+        return any(stream.topic == topic and stream.has_subscribers for stream in self._streams)
 
     @property
     def active(self) -> bool:
