@@ -1,6 +1,6 @@
 """How well simulated robots carry a payload that no model has: PD alone, with efforts of a model, and with adaptation.
 
-    python -m benchmarks.adaptation [--robots panda.urdf ur5_robot.urdf] [--seeds 1 2 3] [--lacking 0.2]
+    python -m benchmarks.adaptation [--robots panda.urdf ur5_robot.urdf] [--seeds 1 2 3] [--lacking 0.2] [--friction]
     python -m benchmarks.adaptation --stability 20
     python -m benchmarks.adaptation --worst
     python -m benchmarks.adaptation --endurance 3600
@@ -144,9 +144,10 @@ class Run:
 class Robot:
     """A simulated robot that was identified, its controller and the trajectory to follow."""
 
-    def __init__(self, name: str, seed: int, folder: Path, lacking: float = 0.0) -> None:
-        """``lacking``: share of the friction and of all other effects that the model has not."""
-        self.lacking = lacking
+    def __init__(self, name: str, seed: int, folder: Path, lacking: float = 0.0, friction: bool = False) -> None:
+        """``lacking``: share of the friction and of all other effects that the model has not; ``friction``: True if
+        friction adapts, too."""
+        self.lacking, self.friction = lacking, friction
         self.name, self.seed = Path(name).stem, seed
         options = SimulationOptions(robot=described(name, folder), seed=seed, duration=30.0, rate=200.0)
         bag = folder / f"{self.name}_{seed}"
@@ -193,7 +194,7 @@ class Robot:
 
     def adapting(self, link: Link, prior: float = 0.0) -> Adapting:
         """An adaptation of this robot's last body."""
-        correction = Correction(self.model(prior), self.joints, self.body, HEAVIEST)
+        correction = Correction(self.model(prior), self.joints, self.body, HEAVIEST, self.friction)
         return Adapting(correction, self.commanded, link, np.random.default_rng(self.seed), self.limits)
 
     def run(
@@ -282,12 +283,12 @@ def _direction(seed: int) -> FloatArray:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def accuracy(names: list[str], seeds: list[int], folder: Path, lacking: float = 0.0) -> Table:
+def accuracy(names: list[str], seeds: list[int], folder: Path, lacking: float = 0.0, friction: bool = False) -> Table:
     """Errors by robot, seed and kind of feed-forward."""
     table = Table("robot", "seed", "efforts", "before", "first 1 s", "carrying")
     for name in names:
         for seed in seeds:
-            robot = Robot(name, seed, folder, lacking)
+            robot = Robot(name, seed, folder, lacking, friction)
             model = robot.model()(robot.commanded)
             found = {
                 "PD alone": robot.run(None),
@@ -386,6 +387,7 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", default=["panda.urdf", "ur5_robot.urdf"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
     parser.add_argument("--lacking", type=float, default=0.0, help="share of the friction that the model has not")
+    parser.add_argument("--friction", action="store_true", help="friction adapts, too")
     parser.add_argument("--stability", type=int, metavar="SEEDS", help="the worst of so many seeds")
     parser.add_argument("--worst", action="store_true", help="mishaps")
     parser.add_argument("--endurance", type=float, metavar="SECONDS", help="random errors at 500 Hz for so long")
@@ -399,7 +401,7 @@ def main() -> None:
         elif arguments.worst:
             table = worst(arguments.robots, arguments.seeds, folder)
         else:
-            table = accuracy(arguments.robots, arguments.seeds, folder, arguments.lacking)
+            table = accuracy(arguments.robots, arguments.seeds, folder, arguments.lacking, arguments.friction)
     Console(width=200).print(table)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.feedforward import described
 from geomid_ros.api.feedforward import robot_to_move
-from geomid_ros.control.correction import SHORTEST, Adaptation, removed_fraction, shortest_change
+from geomid_ros.control.correction import SHORTEST, Adaptation, removed_fraction
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.model.samples import ACCELERATION_PER_SPEED, SAMPLES_PER_PIECE, random_states
 from geomid_ros.session.options import FillOptions
@@ -50,7 +50,7 @@ def endure(name: str, seconds: float, heaviest: float, folder: Path) -> Endured:
         sizes = 10.0 ** rng.uniform(*_SIZES, (count, 1))
         for motion, errors in zip(states.swapaxes(0, 1), sizes * rng.normal(size=(count, len(fastest))), strict=True):
             before = adaptation.point
-            adaptation.step(share * shortest_change(before, rows_of(motion) / noise, errors))
+            adaptation.step(share * adaptation.shortest_change(rows_of(motion) / noise, errors))
             smallest, *_, largest = np.linalg.eigvalsh(adaptation.point.pseudo_inertias[0])
             moved += adaptation.point is not before
             impossible += not smallest > 0.0

@@ -8,7 +8,8 @@ gradient ``Y^T s`` of the tracking error in the metric ``tr(P^-1 X P^-1 Y)``, wh
 - a step is the shortest that explains a fraction of r at all joints at once, within their noise: with rows A and r in
   units of the noise, and A whitened at P, it is ``fraction A^T (A A^T + 1)^-1 r``. The loop's gain per step is this
   fraction in every direction that efforts show, and less in others;
-- it follows the geodesic ``P^1/2 exp(X) P^1/2``, which stays in the cone however long it is.
+- it follows the geodesic ``P^1/2 exp(X) P^1/2``, which stays in the cone however long it is. So do the positive
+  coefficients of friction, if they adapt, too: theirs is ``c exp(x)``.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ import numpy as np
 
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.tolerances import LARGEST_STEP
 from geomid_ros.geometry import spd
-from geomid_ros.geometry.manifold import ONE_BODY, Point
+from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import to_parameters
 from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.types import FloatArray
@@ -41,64 +43,78 @@ def removed_fraction(step: float, delay: float) -> float:
     return -math.expm1(-MARGIN * step / max(delay, SHORTEST))
 
 
-def shortest_change(point: Point, rows: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Shortest tangent vector ``(10,)`` that explains ``residuals (joints,)`` by ``rows (joints, 10)``, both in units
-    of the residuals' noise."""
-    whitened = ONE_BODY.whiten(point, rows)
+def shortest_change(manifold: ParameterManifold, point: Point, rows: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Shortest tangent vector ``(D,)`` that explains ``residuals (joints,)`` by ``rows (joints, D)``, both in units of
+    the residuals' noise."""
+    whitened = manifold.whiten(point, rows)
     weights = spd.solve_or_least_squares(whitened @ whitened.T + np.eye(len(rows)), residuals)
     return np.asarray(weights @ whitened)
 
 
 def divergence(point: Point, reference: Point) -> float:
     """Bregman divergence ``tr(P_0^-1 P) - log det(P_0^-1 P) - 4`` of the log-determinant, from the ``reference``."""
-    values = np.linalg.eigvalsh(spd.congruence(reference.inverse_root, point.pseudo_inertias))
+    links = np.linalg.eigvalsh(spd.congruence(reference.inverse_root, point.pseudo_inertias))
+    values = np.append(links, point.positives / reference.positives)
     return float(np.sum(values - np.log(values) - 1.0))
 
 
 class Adaptation:
-    """Inertia of a body, bounded to changes that a payload may cause."""
+    """Inertia of a body, and ``K`` positive coefficients, bounded to changes that a payload may cause."""
 
     def __init__(self, identified: FloatArray, heaviest: float) -> None:
         """
         Args:
-            identified: inertia ``(10,)`` of the body in the model.
+            identified: inertia of the body in the model, and the coefficients ``(10 + K,)``.
             heaviest: largest payload [kg].
         """
-        self._identified = ONE_BODY.point(identified)
+        self._manifold = ParameterManifold(1, len(identified) - spd.SIZE, np.zeros(0))
+        self._scales = np.append(np.ones(spd.SIZE), np.full(self._manifold.positives, DEFAULT_PRIOR_STD))
+        self._identified = self._manifold.point(identified)
         corners = LARGEST_COM_DISTANCE * np.concatenate([np.eye(3), -np.eye(3)])
         ends = np.append(corners, np.ones((6, 1)), axis=1)
         loads = to_parameters(heaviest * ends[:, :, None] * ends[:, None, :])
-        self._bound = max(divergence(ONE_BODY.point(identified + load), self._identified) for load in loads)
+        body = ONE_BODY.point(identified[: spd.SIZE])
+        self._bound = max(divergence(ONE_BODY.point(body.parameters + load), body) for load in loads)
         self._mean_load = np.mean(loads, axis=0)
         self.point = self._identified
 
     @property
+    def body(self) -> FloatArray:
+        """Inertia ``(10,)`` of the body."""
+        return self.point.parameters[: spd.SIZE]
+
+    @property
     def change(self) -> FloatArray:
-        """Difference ``(10,)`` from the identified inertia."""
+        """Difference ``(10 + K,)`` from what was identified."""
         return self.point.parameters - self._identified.parameters
 
-    def resume(self, point: Point) -> None:
-        """Go on from a ``point``, unless no payload brings the identified body there."""
+    def resume(self, body: FloatArray) -> None:
+        """Go on with a ``body (10,)``, unless no payload makes it of the identified one."""
+        point = self._manifold.point(np.append(body, self._identified.positives))
         if divergence(point, self._identified) < self._bound:
             self.point = point
 
+    def shortest_change(self, rows: FloatArray, residuals: FloatArray) -> FloatArray:
+        """Return :func:`shortest_change` from here, ``(10 + K,)``; a coefficient moves as far as it usually errs."""
+        return self._scales * shortest_change(self._manifold, self.point, rows * self._scales, residuals)
+
     def step(self, tangent: FloatArray) -> None:
-        """Follow a ``tangent (10,)``, no farther than rows are nearly linear, unless it leads further out of the
+        """Follow a ``tangent (10 + K,)``, no farther than rows are nearly linear, unless it leads further out of the
         bound."""
         length = float(np.linalg.norm(tangent))
-        end = ONE_BODY.exp(self.point, tangent * min(1.0, LARGEST_STEP / length) if length else tangent)
+        end = self._manifold.exp(self.point, tangent * min(1.0, LARGEST_STEP / length) if length else tangent)
         distance = divergence(end, self._identified)
         if distance < self._bound or distance < divergence(self.point, self._identified):
             self.point = end
 
     def explains(self, rows: FloatArray, residuals: FloatArray) -> bool:
-        """True if the ``residuals`` of :func:`shortest_change` may be those of the body with a payload.
+        """True if the ``residuals`` of ``rows (joints, 10 + K)`` may be those of the body with a payload.
 
         The shortest change that explains them is computed in the metric of the body with the heaviest payload, spread
         as far as it may lie. It must not remove more than this body, as a contact that pulls sideways or upwards does.
         """
-        loaded = ONE_BODY.point(self.point.parameters + self._mean_load)
-        change = spd.to_matrix(shortest_change(loaded, rows, residuals))
+        loaded = ONE_BODY.point(self.body + self._mean_load)
+        change = spd.to_matrix(shortest_change(ONE_BODY, loaded, rows[:, : spd.SIZE], residuals))
         return bool(np.linalg.eigvalsh(change)[0] > -1.0)
 
 
@@ -161,13 +177,16 @@ class Correction:
     The caller passes the time [s], of any one clock. Only one thread may call it at a time.
     """
 
-    def __init__(self, efforts: MotorEfforts, joints: Sequence[str], body: str, heaviest: float) -> None:
+    def __init__(
+        self, efforts: MotorEfforts, joints: Sequence[str], body: str, heaviest: float, friction: bool = False
+    ) -> None:
         """
         Args:
             efforts: efforts of the identified model, for motions of ``joints``.
             joints: names, in the order of all arrays.
             body: body that adapts.
             heaviest: largest payload [kg].
+            friction: True to adapt the positive coefficients of the model's effects, too.
 
         Raises:
             InputError: a joint has no effort limit, or no effort depends on the body.
@@ -175,8 +194,9 @@ class Correction:
         self._efforts, self._joints, self._limits = efforts, tuple(joints), efforts.limits
         if unlimited := [name for name, limit in zip(joints, self._limits, strict=True) if not np.isfinite(limit)]:
             raise InputError(f"joint '{unlimited[0]}' has no effort limit in the URDF; adaptation is bounded by it")
-        self._rows_of, identified = efforts.of_body(body)
-        self.adaptation = Adaptation(identified, heaviest)
+        parts = [efforts.of_body(body), *([efforts.of_coefficients()] if friction else [])]
+        self._parts = [rows_of for rows_of, _ in parts]
+        self.adaptation = Adaptation(np.concatenate([identified for _, identified in parts]), heaviest)
         self.delay = 0.0
         """Delay of the loop [s] that the gain is set for: age of the data plus the time between them, the longest of
         about a second."""
@@ -218,7 +238,7 @@ class Correction:
             )
         self.latch.record(now, faults)
         if not faults and not self.latch.reason:
-            tangent = shortest_change(self.adaptation.point, rows, residuals)
+            tangent = self.adaptation.shortest_change(rows, residuals)
             self.adaptation.step(removed_fraction(step, self.delay) * tangent)
 
     def _lateness(self, delay: float) -> list[str]:
@@ -228,9 +248,13 @@ class Correction:
             return []
         return [f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.delay:.0f} ms before"]
 
+    def _rows_of(self, motion: FloatArray) -> FloatArray:
+        """Rows ``(joints, 10 + K)`` of the body and the coefficients that adapt."""
+        return np.concatenate([rows_of(motion) for rows_of in self._parts], axis=1)
+
     def _missing(self, motion: FloatArray, effort: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rows ``(joints, 10)`` of the body, and the residual ``effort (joints,)`` that neither it nor the model
-        explains, both in units of the noise."""
+        """Rows ``(joints, 10 + K)``, and the residual ``effort (joints,)`` that neither they nor the model explain,
+        both in units of the noise."""
         rows, noise = self._rows_of(motion), _NOISE * self._limits
         residuals = effort - self._efforts(motion[:, None])[0] - rows @ self.adaptation.change
         return rows / noise[:, None], residuals / noise

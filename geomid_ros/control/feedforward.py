@@ -16,6 +16,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.model.dynamics import InverseDynamics, motor_parameters
+from geomid_ros.model.effects import Motion, MotionEffect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -59,6 +60,11 @@ class MotorEfforts:
             advice = "if they stay at zero, name them in locked_joints (--lock)"
             raise InputError(f"{source}: does not contain {','.join(missing)}; {advice}")
         self._robot = robot
+        self._coefficients = [
+            (coefficient.effect, coefficient.place, float(value))
+            for coefficient, value in zip(model.coefficients, parameters[len(model.nominal_inertias) :], strict=True)
+            if isinstance(coefficient.effect, MotionEffect) and coefficient.positive and value > 0.0
+        ]
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains, self._load_gains = gains[self._order], model.drive_gains[self._order]
         self._dynamics = InverseDynamics(model, motor_parameters(model, parameters))
@@ -92,6 +98,19 @@ class MotorEfforts:
             return np.asarray(rows * (self._load_gains / self._gains)[:, None])
 
         return rows, self._dynamics.inertias[body]
+
+    def of_coefficients(self) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """Return a function of motions ``(3, joints)`` that computes the columns ``(joints, K)`` of the positive
+        coefficients of the effects of motion, such as friction, in these efforts; and the coefficients ``(K,)``."""
+        ordered = np.empty((3, len(self._order)))
+
+        def columns(motion: FloatArray) -> FloatArray:
+            ordered[:, self._order] = motion
+            state = Motion(ordered)
+            efforts = [effect.efforts(state, place) for effect, place, _ in self._coefficients]
+            return np.asarray(np.array(efforts).reshape(-1, len(self._order)).T[self._order] / self._gains[:, None])
+
+        return columns, np.array([value for _, _, value in self._coefficients])
 
 
 def with_efforts(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float) -> Trajectory:

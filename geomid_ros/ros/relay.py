@@ -47,18 +47,19 @@ _GAPS, _ESTIMATE = "geomid/gap/open", "geomid/estimate"  # of the identification
 class AdaptationNode:
     """Answers every joint state on ``~/inertia`` and ``~/correction``; its status is in ``/diagnostics``."""
 
-    def __init__(self, node: Node, session: Session, link: str, heaviest: float) -> None:
+    def __init__(self, node: Node, session: Session, link: str, heaviest: float, friction: bool) -> None:
         """
         Args:
             node: publishes and subscribes.
             session: the robot and its model.
             link: that adapts; the last one if empty.
             heaviest: largest payload [kg].
+            friction: True to adapt friction, too.
 
         Raises:
             InputError: this link cannot adapt.
         """
-        self._node, self._session, self._heaviest = node, session, heaviest
+        self._node, self._session, self._heaviest, self._friction = node, session, heaviest, friction
         self._joints = session.robot.joint_names
         self._link = link or session.robot.body_names[-1]
         self._correction = self._new()
@@ -81,13 +82,13 @@ class AdaptationNode:
     def _new(self) -> Correction:
         model, parameters = self._session.model, self._session.known_parameters
         efforts = MotorEfforts(model, parameters, self._session.effort_gains, self._joints, "the adaptation")
-        return Correction(efforts, self._joints, self._link, self._heaviest)
+        return Correction(efforts, self._joints, self._link, self._heaviest, self._friction)
 
     def use(self, session: Session) -> None:
         """Go on with another model of the robot: what is carried stays, and a correction that is off stays off."""
         before, self._session = self._correction, session
         self._begin_anew()
-        self._correction.adaptation.resume(before.adaptation.point)
+        self._correction.adaptation.resume(before.adaptation.body)
         self._correction.latch.switch_off(before.latch.reason)
 
     def _begin_anew(self) -> None:
@@ -136,7 +137,7 @@ class AdaptationNode:
         """Publish the present inertia and correction, also if no joint states arrive."""
         now = self._now
         sent, stamp = self._correction(now, self._commanded(now)), round(1e9 * now)
-        self._inertias.publish(inertia_message(self._link, self._correction.adaptation.point.parameters, stamp))
+        self._inertias.publish(inertia_message(self._link, self._correction.adaptation.body, stamp))
         message = JointState(name=list(self._joints), effort=sent.tolist())
         message.header.stamp = ros_time(stamp)
         self._corrections.publish(message)
@@ -194,6 +195,7 @@ _PARAMETERS = (
     _at_start("force", FillOptions.force, "take a model whose verdict is not 'usable', too"),
     _at_start("link", "", "link that adapts to a payload; empty: the last one"),
     _at_start("heaviest_payload", 0.0, "largest payload that a link adapts to [kg]; 0: no adaptation", 0.0, 1e6),
+    _at_start("adapt_friction", False, "adapt friction together with the link, for friction that has changed"),
 )
 
 
@@ -281,7 +283,10 @@ class FeedforwardRelay:
         self._options = FillOptions(urdf, config=config, tolerance=values["tolerance"], force=force)
         self._session: Session | None = None  # that trajectories were last filled for
         self._adapting: AdaptationNode | None = None
-        self._adapt = partial(AdaptationNode, node, link=values["link"], heaviest=heaviest) if heaviest else None
+        self._adapt: Callable[[Session], AdaptationNode] | None = None
+        if heaviest:
+            asked = values["link"], heaviest, values["adapt_friction"]
+            self._adapt = lambda session: AdaptationNode(node, session, *asked)
         self._filling = ThreadPoolExecutor(1)
         self._due: SimpleQueue[Callable[[], None]] = SimpleQueue()  # what the thread leaves to the node's
         self._is_due = node.create_guard_condition(self._do_due)

@@ -66,7 +66,7 @@ def test_the_step_is_the_shortest_that_explains_residuals_within_their_noise() -
     jacobian = np.array([(after - before) / 2e-6 for after, before in ends]).T
     both = np.vstack([rows @ jacobian, np.eye(10)])
     expected = np.linalg.lstsq(both, np.append(residuals, np.zeros(10)), rcond=None)[0]
-    np.testing.assert_allclose(shortest_change(point, rows, residuals), expected, atol=1e-6)
+    np.testing.assert_allclose(shortest_change(ONE_BODY, point, rows, residuals), expected, atol=1e-6)
 
 
 def test_it_depends_neither_on_frames_nor_on_units() -> None:
@@ -81,8 +81,10 @@ def test_it_depends_neither_on_frames_nor_on_units() -> None:
 
     transform = moved(pseudo_inertia.from_parameters(np.eye(10))).T
     other = ONE_BODY.point(transform @ parameters)
-    first = ONE_BODY.exp(ONE_BODY.point(parameters), shortest_change(ONE_BODY.point(parameters), rows, residuals))
-    second = ONE_BODY.exp(other, shortest_change(other, rows @ np.linalg.inv(transform), residuals))
+    first = ONE_BODY.exp(
+        ONE_BODY.point(parameters), shortest_change(ONE_BODY, ONE_BODY.point(parameters), rows, residuals)
+    )
+    second = ONE_BODY.exp(other, shortest_change(ONE_BODY, other, rows @ np.linalg.inv(transform), residuals))
     np.testing.assert_allclose(second.parameters, moved(first.pseudo_inertias[0]), rtol=1e-6, atol=1e-6)
 
 
@@ -91,7 +93,7 @@ def test_the_body_stays_possible_and_within_the_bound_whatever_comes() -> None:
     adaptation = Adaptation(body(rng), HEAVIEST)
     start, largest = adaptation.point, 0.0
     for size in rng.choice([1e-3, 1.0, 1e3], 5000).tolist():
-        adaptation.step(size * shortest_change(adaptation.point, rng.normal(size=(7, 10)), rng.normal(size=7)))
+        adaptation.step(size * adaptation.shortest_change(rng.normal(size=(7, 10)), rng.normal(size=7)))
         assert np.linalg.eigvalsh(adaptation.point.pseudo_inertias[0])[0] > 0.0
         largest = max(largest, divergence(adaptation.point, start))
     inside = max(divergence(ONE_BODY.point(start.parameters + carried(mass, end)), start) for mass, end in LOADS)
@@ -149,6 +151,11 @@ class Arm:
     def correction(self, body: str = "") -> Correction:
         return Correction(self.efforts, self.joints, body or self.body, HEAVIEST)
 
+    @property
+    def commanded_speeds(self) -> FloatArray:
+        """All of the motion ``(N, joints)``."""
+        return self._commanded[1]
+
     def commanded(self, time: float) -> FloatArray:
         return self._commanded[:, round(time / GRID)]
 
@@ -188,6 +195,27 @@ def test_a_planted_payload_is_found_and_its_efforts_are_added(arm: Arm) -> None:
     assert np.max(carried) > 3.0
     assert np.all(left < 0.02 * np.max(carried))
     np.testing.assert_allclose(correction.adaptation.change[0], LOAD.mass, atol=0.1)
+
+
+@pytest.mark.parametrize("friction", [False, True])
+def test_friction_that_has_changed_is_found_if_it_adapts(friction: bool, arm: Arm) -> None:
+    """A body explains little of it."""
+    session = robot_to_move(FillOptions(URDF.read_text()), None)
+    viscous = [c.effect.name == "viscous_friction" for c in session.model.coefficients]
+    places = len(session.model.nominal_inertias) + np.flatnonzero(viscous)
+    truth, model = (np.array(session.known_parameters) for _ in range(2))
+    truth[places], model[places] = 5.0, 3.0
+    true, known = (MotorEfforts(session.model, p, session.effort_gains, arm.joints, "a motion") for p in (truth, model))
+    correction, left = Correction(known, arm.joints, arm.body, HEAVIEST, friction), []
+    for time in np.arange(0.0, 6.0, PERIOD):
+        motion = arm.commanded(time)
+        effort = true(motion[:, None])[0]
+        left.append(effort - known(motion[:, None])[0] - correction(time, motion))
+        correction.learn(time, Reading(time, motion[0], motion[1], effort), motion)
+    remaining = float(np.sqrt(np.mean(np.square(left[len(left) // 2 :]))))
+    added = 2.0 * float(np.sqrt(np.mean(np.square(arm.commanded_speeds))))
+    assert (remaining < 0.3 * added) == friction
+    assert np.all(correction.adaptation.change[10:] > 0.5)
 
 
 def assert_gradual(arm: Arm, sent: list[FloatArray], period: float = PERIOD) -> None:

@@ -18,6 +18,7 @@ from benchmarks.feedforward import errors
 from geomid_ros.control.feedforward import SHORTEST, MotorEfforts, with_efforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import Trajectory
+from geomid_ros.model.effects import MotionEffect
 from geomid_ros.types import FloatArray
 
 URDF = BAGS / "arm3.urdf"
@@ -192,6 +193,22 @@ def test_what_a_body_adds_is_scaled_by_its_drives(estimate: Path) -> None:
     rows, _ = alone.of_body("link3")
     difference = loaded(states)[0] - alone(states)[0]
     np.testing.assert_allclose(rows(states[:, 0]) @ np.eye(10)[0], difference, rtol=1e-9, atol=1e-12)
+
+
+def test_coefficients_of_motion_add_their_columns(estimate: Path) -> None:
+    session = geomid_ros.feedforward(motion(), estimate, force=True).session
+    model, states, parameters = session.model, motion().states(np.array([1.3]))[:3], session.known_parameters
+    first = len(model.nominal_inertias)
+    positive = np.array([c.positive and isinstance(c.effect, MotionEffect) for c in model.coefficients])
+    without = np.where(np.append(np.zeros(first, dtype=bool), positive), 0.0, parameters)
+    joints = JOINTS[::-1]
+    whole, rest = (MotorEfforts(model, p, session.effort_gains, joints, "a motion") for p in (parameters, without))
+    reversed_states = states[:, :, ::-1]
+    columns, values = whole.of_coefficients()
+    difference = whole(reversed_states)[0] - rest(reversed_states)[0]
+    assert np.min(np.abs(difference)) > 0.0
+    np.testing.assert_allclose(columns(reversed_states[:, 0]) @ values, difference, atol=1e-9)
+    assert rest.of_coefficients()[0](states[:, 0]).shape == (len(joints), 0)
 
 
 def test_a_robot_on_its_legs_and_efforts_that_cannot_be_predicted_are_refused(estimate: Path, tmp_path: Path) -> None:

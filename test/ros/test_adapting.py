@@ -171,19 +171,21 @@ def test_it_ends_where_something_else_has_changed(stage: Stage, relay: Process) 
 
 def test_what_is_carried_stays_with_a_newer_estimate(stage: Stage) -> None:
     """It is used with the next trajectory, whether that reaches a controller or not."""
-    parameters = {"heaviest_payload": 2.0, "use_sim_time": True}
+    parameters = {"heaviest_payload": 2.0, "adapt_friction": True, "use_sim_time": True}
     relay, node = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False), stage.observer.node
     estimates = node.create_publisher(String, "/geomid/estimate", latched(1))
     sent = node.create_publisher(JointTrajectory, "/geomid_feedforward/joint_trajectory", 10)
     urdf = URDF.read_text()
     links = [link_entry(body.name, body.merged, body.parameters) for body in Robot(urdf).bodies if body.joint]
-    estimate = {"format": 1, "links": links, "effects": [], "robot_description": urdf}
+    friction = [{"name": "viscous_friction", "joint": joint, "value": 0.5} for joint in JOINTS]
+    estimate = {"format": 1, "links": links, "effects": friction, "robot_description": urdf}
     estimates.publish(String(data=json.dumps(estimate)))
     lockstep = Lockstep(stage)
     lockstep.run(5, loaded=False)
     lockstep.run(60)
     before = len(lockstep.inertias)
     links[-1]["mass"] += 0.01
+    del friction[0]
     estimates.publish(String(data=json.dumps(estimate)))
     rest = np.zeros((2, len(JOINTS)))
     still = message_of(Trajectory(tuple(JOINTS), np.array([0.0, 1.0]), rest + POSITION, rest, rest))
