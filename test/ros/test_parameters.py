@@ -45,7 +45,6 @@ REFUSED: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
     "topic": (NODE, sensor(frame="tool", topic="not a topic"), ("not a topic", "Invalid topic")),
     "model": (NODE, {"model": "/nowhere.json"}, ("/nowhere.json: the model cannot be read",)),
     "frame": (NODE, {**sensor(frame="hand"), "robot_description": ARM3}, ("unknown link 'hand'", "wrist_ft")),
-    "no robot": (RELAY, {}, ("no robot is given",)),
     "type": (RELAY, {"tolerance": "x"}, ("tolerance is 'x', expected a number",)),
     "tolerance": (RELAY, {"tolerance": 0}, ("tolerance is 0, expected 0 < tolerance < 1",)),
     "name": (RELAY, {**HEAVIEST, "controller": "bad-name"}, ("controller: not a name in ROS",)),
