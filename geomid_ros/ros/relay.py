@@ -231,6 +231,7 @@ class _RobotOfNode:
         self._options, self._log = options, node.get_logger()
         self._topic = node.resolve_topic_name(_ESTIMATE)
         self._refusal = f"no estimate on {self._topic} yet; start geomid_node, or set the parameter model"
+        self._log.info(f"waits for a usable estimate on {self._topic}")
         self._file: EstimateFile | None = None
         self._session: Session | None = None  # of the file, once it is needed
 
