@@ -226,9 +226,7 @@ def test_of_two_minima_the_more_likely_is_taken(monkeypatch: pytest.MonkeyPatch)
     links[2] *= 6.0
     first = case.samples.select(np.arange(len(case.samples)) < len(case.samples) // 8)
     clean = efforts(case.model.robot, Truth(links, case.true.effects), first) + np.sin(7.0 * first.position)
-    noise = 0.1 * np.random.default_rng(5).normal(size=clean.shape)
     model = MeasurementModel(case.model.robot, case.effects, candidates=Configuration().candidates)
-    planted = replace(case, model=model, samples=replace(first, effort=clean + noise))
     fits: list[tuple[Fit, tuple[Any, ...]]] = []
 
     def recorded(problem: Problem, *start: Any, **more: Any) -> Fit:
@@ -236,8 +234,13 @@ def test_of_two_minima_the_more_likely_is_taken(monkeypatch: pytest.MonkeyPatch)
         return fits[-1][0]
 
     monkeypatch.setattr(estimator, "fit", recorded)
-    result = solved(planted)
-    pairs = [*zip(fits[::2], fits[1::2], strict=True)]
+    for seed in (8, 9, 11):  # not every noise leaves an effect unsure
+        fits.clear()
+        noise = 0.1 * np.random.default_rng(seed).normal(size=clean.shape)
+        result = solved(replace(case, model=model, samples=replace(first, effort=clean + noise)))
+        pairs = [*zip(fits[::2], fits[1::2], strict=True)]
+        if len(pairs) > 1:
+            break
     assert len(pairs) > 1, "something was unsure"
     ended = pairs[0][1][1][1]
     for (_, of_prior), (_, (_, spreads)) in pairs:
