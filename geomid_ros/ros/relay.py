@@ -290,7 +290,7 @@ class FeedforwardRelay:
             self._adapt = lambda session: AdaptationNode(node, session, *asked)
         self._filling = ThreadPoolExecutor(1)
         self._due: SimpleQueue[Callable[[], None]] = SimpleQueue()  # what the thread leaves to the node's
-        self._is_due = node.create_guard_condition(self._do_due)
+        self._is_due = node.create_guard_condition(self._on_due)
         self._robot: _RobotOfFile | _RobotOfNode
         if model or urdf:
             self._robot = _RobotOfFile(self._options, model)
@@ -337,6 +337,12 @@ class FeedforwardRelay:
         """Call a function in the node's thread."""
         self._due.put(function)
         self._is_due.trigger()
+
+    def _on_due(self) -> None:
+        try:
+            self._do_due()
+        except InputError as error:  # of a robot that comes with an estimate; trajectories are filled all the same
+            self._log.error(f"the adaptation cannot use the last estimate: {error}")
 
     def _do_due(self) -> None:
         while not self._due.empty():

@@ -118,3 +118,21 @@ def test_the_last_usable_estimate_of_the_node_gives_the_efforts(stage: Stage, mo
     observer.wait_for(lambda: answered("") and len(heard) > count + 1, "trajectories as before")
     np.testing.assert_allclose([point.effort for point in heard[-1].points], expected.efforts, atol=1e-6)
     assert relay.output.count("last usable estimate stays") == 1
+
+
+def test_a_robot_that_cannot_adapt_has_its_trajectories_filled(stage: Stage, model: Path) -> None:
+    """The estimate that comes has no such link: the relay says so, and lives on."""
+    observer, saved = stage.observer, json.loads(model.read_text())
+    saved["robot_description"] = model.with_name("identified.urdf").read_text()
+    parameters = {"heaviest_payload": 2.0, "link": "elsewhere"}
+    relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
+    sent = observer.node.create_publisher(JointTrajectory, "/geomid_feedforward/joint_trajectory", 10)
+    estimates = observer.node.create_publisher(String, "/geomid/estimate", latched(1))
+    heard = observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
+    observer.wait_for(lambda: sent.get_subscription_count() and estimates.get_subscription_count(), "the relay")
+    observer.spin(MATCHING)
+    estimates.publish(String(data=json.dumps(saved)))
+    observer.wait_for(lambda: "the adaptation cannot use the last estimate" in relay.output, "what is wrong")
+    assert "'elsewhere'" in relay.output
+    sent.publish(message_of(motion()))
+    observer.wait_for(lambda: heard, "a trajectory with efforts")
