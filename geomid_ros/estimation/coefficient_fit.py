@@ -223,7 +223,7 @@ class CoefficientRows:
 
         def likely(point: Point, hessian: FloatArray, _: FloatArray) -> FloatArray:
             variances = spd.variances(hessian, links.stop)
-            return reestimated_prior_stds(manifold.log(prior, point)[links], variances, default, problem.certainties)
+            return reestimated_prior_stds(manifold.log(prior, point)[links], variances, default)
 
         result = fit_scales(objective, point, prior_stds if given is None else given, likely if given is None else None)
         return CoefficientFit(self, columns, result)
@@ -278,9 +278,7 @@ class CoefficientFit:
         links = self.fit.objective.manifold.inertial
         volume = spd.log_determinant(self.fit.hessian[links, links])
         prior_stds = self.fit.scales
-        width = 20.0 * float(np.sum(np.log(prior_stds))) + prior_std_cost(
-            prior_stds, self.rows.problem.default_stds, self.rows.problem.certainties
-        )
+        width = 20.0 * float(np.sum(np.log(prior_stds))) + prior_std_cost(prior_stds, self.rows.problem.default_stds)
         return 2.0 * self.fit.evaluation.value + volume + width
 
     @cached_property

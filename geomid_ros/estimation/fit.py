@@ -19,13 +19,15 @@ import numpy as np
 from geomid_ros.estimation.objective import Evaluation, ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
-from geomid_ros.estimation.starting_point import CERTAINTY, DEFAULT_PRIOR_STD
+from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.tolerances import LEAST_DECREASE, LEAST_GRADIENT, ROUNDS, SETTLED
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import SIZE
 from geomid_ros.types import FloatArray
 
+CERTAINTY = 20.0
+"""Weight of the default prior std, in directions of the tangent space: as much as two links."""
 INDEPENDENT_ROWS_PER_PERIOD = 2.67
 """Independent rows per period of the filter's cutoff; the filter passes nothing above 1.5 times the cutoff."""
 _BUDGET = 3  # times max_steps, for all rounds together: five times what measured robots need
@@ -33,7 +35,7 @@ _SETTLED = 1e-8  # change of logarithms of noise and prior stds in a round
 
 
 def reestimated_prior_stds(
-    off: FloatArray, variances: FloatArray, default_stds: FloatArray, certainty: FloatArray | float = CERTAINTY
+    off: FloatArray, variances: FloatArray, default_stds: FloatArray, certainty: float = CERTAINTY
 ) -> FloatArray:
     """Re-estimate the prior std of each link ``(links,)`` by MacKay ("Bayesian interpolation", 1992): the mean square
     of its error, including the posterior variance.
@@ -42,18 +44,16 @@ def reestimated_prior_stds(
         off: tangent coordinates ``(10 links,)`` of the links, from their priors.
         variances: posterior variances ``(10 links,)`` of these.
         default_stds: default prior std ``(links,)``, geodesic distances.
-        certainty: weight of the default prior std, one or ``(links,)``, in directions of the tangent space.
+        certainty: weight of the default prior std, in directions of the tangent space.
     """
     squares = np.sum((off**2 + variances).reshape(-1, SIZE), axis=1)
     return np.asarray(np.sqrt((squares + certainty * default_stds**2) / (SIZE + certainty)))
 
 
-def prior_std_cost(
-    prior_stds: FloatArray, default_stds: FloatArray, certainty: FloatArray | float = CERTAINTY
-) -> float:
+def prior_std_cost(prior_stds: FloatArray, default_stds: FloatArray, certainty: float = CERTAINTY) -> float:
     """Minus twice the log density of ``prior_stds (links,)``, up to a constant."""
     relative = prior_stds / default_stds
-    return float(np.sum(certainty * (relative**-2.0 + 2.0 * np.log(relative))))
+    return certainty * float(np.sum(relative**-2.0 + 2.0 * np.log(relative)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -136,7 +136,7 @@ class Fit:
             2.0 * problem.independent_fraction * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
         )
         widths = float(np.sum(np.log(problem.independent_fraction * self.objective.prior_weights)))
-        return likelihood + volume - widths + prior_std_cost(self.prior_stds, problem.default_stds, problem.certainties)
+        return likelihood + volume - widths + prior_std_cost(self.prior_stds, problem.default_stds)
 
 
 class Coupling(Protocol):
@@ -166,14 +166,14 @@ def fit(
     Args:
         problem: the problem to fit.
         start: where to start; the prior unless given.
-        prior_stds: prior std of the links to start with; :attr:`Problem.first_stds` unless given.
+        prior_stds: prior std of the links to start with; the default ones unless given.
         tolerance: largest geodesic distance of the result from the minimum.
         max_steps: largest number of solver steps per round, in which noise and prior std are fixed.
         coupling: determines the problem of all rounds but the first; the same problem unless given.
         rough: True to end within :data:`SETTLED`, where another fit starts.
     """
     point = start or problem.prior_point
-    prior_stds = problem.first_stds if prior_stds is None or problem.gamma is not None else prior_stds
+    prior_stds = problem.default_stds if prior_stds is None or problem.gamma is not None else prior_stds
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     # Near its fixed point the iteration is linear: it can be extrapolated, and one solver step per round is enough.
     extrapolation, steps = None, 0
@@ -293,5 +293,5 @@ def _spreads(problem: Problem, objective: ResidualObjective, solution: Solution)
     information = solution.evaluation.information + np.diag(objective.prior_weights)
     variances = spd.variances(problem.independent_fraction * information, links.stop)
     return reestimated_prior_stds(
-        manifold.log(problem.prior_point, solution.point)[links], variances, problem.default_stds, problem.certainties
+        manifold.log(problem.prior_point, solution.point)[links], variances, problem.default_stds
     )

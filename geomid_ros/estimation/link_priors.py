@@ -24,11 +24,10 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.fit import Coupling, Fit, prior_std_cost, reestimated_prior_stds
+from geomid_ros.estimation.fit import CERTAINTY, Coupling, Fit, prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.starting_point import CERTAINTY, LOOSE_PRIOR_STD
 from geomid_ros.estimation.tolerances import ROUNDS
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -38,6 +37,7 @@ from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
 
 _RELEASED_BELOW = 0.5  # weight below which a block is reported as released
+_LOOSE = 1.0  # prior std of the links alone; it only bounds directions that the population leaves undetermined
 
 
 def common_prior_stds(parts: Sequence[AlikeParts], default_stds: FloatArray) -> FloatArray:
@@ -262,7 +262,7 @@ class PopulationPrior(CoupledPrior):
         columns = np.array([*places, *effects])
         given = np.full(model.dimension, np.nan)
         given[columns] = subset.parameters
-        prior_stds = np.where(np.isfinite(given[:first:10]), LOOSE_PRIOR_STD, problem.default_stds)
+        prior_stds = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.default_stds)
         return PopulationPrior(
             problem=replace(problem, given_parameters=given, given_stds=prior_stds),
             columns=columns,

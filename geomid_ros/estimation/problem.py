@@ -10,10 +10,7 @@ import numpy as np
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.objective import dual_metric, products_at
 from geomid_ros.estimation.starting_point import (
-    CERTAINTY,
-    CERTAINTY_OF_ENDS,
     DEFAULT_PRIOR_STD,
-    LOOSE_PRIOR_STD,
     first_fit,
     first_sigmas,
     prior_inertias,
@@ -26,7 +23,7 @@ from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedRows
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import FloatArray, IntArray
 
 # Cached properties of a problem that do not depend on its known rows.
 _OF_ROWS = (
@@ -72,22 +69,6 @@ class Problem:
         if self.given_stds is not None:
             return self.given_stds
         return np.full(len(self.model.body_names), DEFAULT_PRIOR_STD)
-
-    @cached_property
-    def certainties(self) -> FloatArray:
-        """Weights of the default prior stds of the links ``(links,)``."""
-        return np.where(self._may_have_tool, CERTAINTY_OF_ENDS, CERTAINTY)
-
-    @property
-    def first_stds(self) -> FloatArray:
-        """Prior std of the links ``(links,)`` with which its search starts: wide where a tool may be. From the default
-        one, a tool on the last joint's axis would end in the link before, which explains it as well."""
-        return np.where(self._may_have_tool & (self.gamma is None), LOOSE_PRIOR_STD, self.default_stds)
-
-    @property
-    def _may_have_tool(self) -> BoolArray:
-        """True for end links with the prior of a CAD file ``(links,)``."""
-        return self.model.robot.is_end[list(self.model.identified)] & (self.given_stds is None)
 
     @cached_property
     def manifold(self) -> ParameterManifold:

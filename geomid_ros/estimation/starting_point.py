@@ -25,12 +25,6 @@ _LEAST_SIGMA_SHARE = 1e-3
 # Default prior std per direction of the tangent space. Inertias from CAD: a fifth. Positive coefficients: a factor of
 # e, because they are a first fit that absorbs the inertias' errors. Real ones: a fifth of what their channel measures.
 DEFAULT_PRIOR_STD = 0.2
-LOOSE_PRIOR_STD = 1.0
-"""Prior std of links that it hardly constrains; it only bounds directions that nothing else determines."""
-CERTAINTY = 20.0
-"""Weight of the default prior std of a link, in directions of the tangent space: as much as two links."""
-CERTAINTY_OF_ENDS = 10.0
-"""Its weight for a link that carries no other: what a URDF lacks most often is the tool."""
 
 
 def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:

@@ -11,7 +11,8 @@ from types import MappingProxyType
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.starting_point import CERTAINTY, DEFAULT_PRIOR_STD
+from geomid_ros.estimation.fit import CERTAINTY
+from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap.analysis import analyse, known_remainder
 from geomid_ros.gap.candidates import Candidate, EffectsPrior, EffectTerm, Shapes, passivity_constraints
 from geomid_ros.gap.evidence.features import KnownRemainder

@@ -330,12 +330,6 @@ class Robot:
         links = set(self.tree.subtree(frame))
         return [index for index, body in enumerate(self.bodies) if body.name in links]
 
-    @cached_property
-    def is_end(self) -> BoolArray:
-        """True for each body ``(bodies,)`` that carries no other, on a fixed base: where a tool is mounted."""
-        carried = [self.subtree(body.name) for body in self.bodies]
-        return np.array([not self.floating_base and len(subtree) == 1 for subtree in carried])
-
     def chain(self, joint: int) -> list[int]:
         """Return the indices of all other joints proximal or distal to ``joint`` on its chain."""
         model, indices = self._model, [self._model.getJointId(name) for name in self.joint_names]

@@ -13,6 +13,7 @@ from geomid_ros.estimation import effect_selection
 from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.trials import Trials
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, AtJoint, identifiable
@@ -326,8 +327,7 @@ def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_
     links = manifold.inertial
     squares = manifold.log(prior, fitted.point)[links] ** 2 + np.sum(vectors**2 / values, axis=1)[links]
     usual = rows.problem.default_stds
-    certainties = rows.problem.certainties
-    expected = np.sqrt((np.sum(squares.reshape(-1, 10), axis=1) + certainties * usual**2) / (10.0 + certainties))
+    expected = np.sqrt((np.sum(squares.reshape(-1, 10), axis=1) + CERTAINTY * usual**2) / (10.0 + CERTAINTY))
     np.testing.assert_allclose(fitted.scales, expected, rtol=0.02)
 
 

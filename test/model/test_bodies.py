@@ -187,11 +187,3 @@ def test_joints_of_one_chain_carry_each_other(name: str, floating: bool) -> None
     for place, (child, carried) in enumerate(own):
         related = {other for other, (link, beyond) in enumerate(own) if link in carried or child in beyond}
         assert robot.chain(place) == sorted(related - {place})
-
-
-def test_tools_are_mounted_on_the_links_that_carry_no_other_at_a_fixed_base() -> None:
-    """A person's head is such a link, too, and no flange; nor is the base of a robot that moves freely."""
-    fork = Robot(urdf("panda.urdf"))
-    ends = [body.name for body, is_end in zip(fork.bodies, fork.is_end, strict=True) if is_end]
-    assert ends == ["panda_leftfinger", "panda_rightfinger"]
-    assert not np.any(Robot(urdf("human.urdf"), floating_base=True).is_end)
