@@ -109,7 +109,7 @@ class Outputs(Listener):
         """Publish those results of the last estimate that are expensive, if there are subscribers that have not
         received them, and feed commands forward with it if it is usable."""
         with self._lock:
-            if self._last is None:
+            if self._last is None or not self._node.context.ok():
                 return
             session, estimate = self._last
             if self._described is not estimate and self._identified.get_subscription_count():
@@ -203,6 +203,7 @@ class _Stream:
 
     def __init__(self, node: Node, topic: str, predictor: EffortPredictor, warn: Callable[[str], None]) -> None:
         self.topic, self.predictor, self._warn = topic, predictor, warn
+        self._context = node.context  # without ROS there are no subscribers
         self._publisher = node.create_publisher(JointState, f"~/streamed_{topic}", 1000)
         self._warned: set[str] = set()
 
@@ -212,7 +213,7 @@ class _Stream:
 
     @property
     def has_subscribers(self) -> bool:
-        return bool(self._publisher.get_subscription_count())
+        return self._context.ok() and bool(self._publisher.get_subscription_count())
 
     @property
     def active(self) -> bool:
