@@ -65,6 +65,7 @@ class Listened:
             handle=Handle(self.streamed.append),
         )
         node: Any = SimpleNamespace(
+            context=SimpleNamespace(ok=lambda: True),
             create_publisher=lambda *_: publisher,
         )
         inputs: Any = SimpleNamespace(poll=self._take, only_streams_commands=False)
