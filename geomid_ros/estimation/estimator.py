@@ -14,7 +14,7 @@ from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.coefficient_fit import CoefficientRows
 from geomid_ros.estimation.drive_gains import fit_drive_gains
 from geomid_ros.estimation.effect_selection import Choice, choose, file_fit, fit_files
-from geomid_ros.estimation.estimate import WITHIN, EffectEstimate, Estimate, LinksInformation, Predictor
+from geomid_ros.estimation.estimate import STDS_OF_95, WITHIN, EffectEstimate, Estimate, LinksInformation, Predictor
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import GeodesicObjective, row_weights
@@ -36,7 +36,6 @@ from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-_TAKEN = 2.0  # standard deviations: a smaller effect is not significant
 _FAR = 2.0  # default prior std: a link with a larger fitted prior std is an outlier; one farther away has a warning
 _SPENT = (
     "the solver ran out of steps before the prior stds of the links converged; masses are those of the last step; "
@@ -289,7 +288,7 @@ def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, f
         for c, size in zip(coefficients, sizes, strict=True)
     ]
     columns = solved.columns[problem.manifold.inertial.stop :]
-    return {column: size for column, size in zip(columns.tolist(), least, strict=True) if size < _TAKEN}
+    return {column: size for column, size in zip(columns.tolist(), least, strict=True) if size < STDS_OF_95}
 
 
 def filtered_fraction(
