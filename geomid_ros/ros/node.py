@@ -28,9 +28,8 @@ from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
-from geomid_ros.ros.console import Console, StatusEvents
 from geomid_ros.ros.dashboard import DashboardProcess
-from geomid_ros.ros.diagnostics import DESCRIPTION, NO_DESCRIPTION, STOPPED, Diagnostics
+from geomid_ros.ros.diagnostics import DESCRIPTION, NO_DESCRIPTION, STOPPED, Console, Diagnostics, StatusEvents
 from geomid_ros.ros.inputs import Inputs, RosTypes, describe, read_parameters
 from geomid_ros.ros.outputs import Outputs, Streaming, latched
 from geomid_ros.ros.startup import starting_ros

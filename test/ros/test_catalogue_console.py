@@ -14,8 +14,8 @@ from files.recordings import BAGS
 
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.live.status import Status
-from geomid_ros.ros import console as module
-from geomid_ros.ros.console import AGAIN, Console, StatusEvents
+from geomid_ros.ros import diagnostics as module
+from geomid_ros.ros.diagnostics import AGAIN, Console, StatusEvents
 from geomid_ros.signals.ledger import Account
 
 from .rig import GOOD, rigged
