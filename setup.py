@@ -58,7 +58,7 @@ setup(
     python_requires=">=3.11",
     cmdclass={"sdist": ReproducibleSdist},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], "": ["*.urdf", "*.j2", "*.js", "*.pyi", "native/*"]},
+    package_data={NAME: ["py.typed"], "": ["robots/*.urdf", "*.j2", "*.js", "*.pyi", "native/*"]},
     ext_modules=[NATIVE],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
     zip_safe=False,

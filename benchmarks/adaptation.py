@@ -38,13 +38,12 @@ from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.session.options import FillOptions
-from geomid_ros.simulation.description import LinkInertia, body_of, pseudo_inertia
+from geomid_ros.simulation.description import LinkInertia, body_of, pseudo_inertia, robot_description
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.recording import control_loop, simulate
 from geomid_ros.simulation.robot import build_robot
-from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import BoolArray, FloatArray
 
 CYCLE = 1e-3  # [s] of the controller

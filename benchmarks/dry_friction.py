@@ -29,12 +29,12 @@ from benchmarks.posterior import true_parameters
 from geomid_ros.estimation.estimate import STDS_OF_95
 from geomid_ros.model.effects import DEFAULT_CANDIDATES
 from geomid_ros.simulation.bag import write_bag
-from geomid_ros.simulation.effects.physics import TrueEffect
+from geomid_ros.simulation.description import robot_description
+from geomid_ros.simulation.effects import TrueEffect
 from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import control_loop, record, write_truth
 from geomid_ros.simulation.robot import TrueRobot, build_robot
-from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
 ROBOT = "arm7"

@@ -14,7 +14,7 @@ from geomid_ros.control.correction import SHORTEST, Adaptation, removed_fraction
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.model.samples import ACCELERATION_PER_SPEED, SAMPLES_PER_PIECE, random_states
 from geomid_ros.session.options import FillOptions
-from geomid_ros.simulation.robots import robot_description
+from geomid_ros.simulation.description import robot_description
 
 _STEP = 2e-3  # [s]
 _FASTEST = np.pi  # [rad/s]

@@ -23,12 +23,12 @@ from rich.table import Table
 import geomid_ros
 from benchmarks.blind.case import robot_file
 from geomid_ros.excitation.motion import Trajectory
+from geomid_ros.simulation.description import robot_description
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.realistic import build_realistic
 from geomid_ros.simulation.recording import control_loop, sampling, simulate
 from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot, build_robot, run
-from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
 _POINTS = 0.05  # [s] between the points of the trajectory

@@ -15,9 +15,9 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
+from geomid_ros.simulation.description import WRIST_FRAME
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import WRIST_FRAME
 
 _URDF = Path(__file__).parents[1] / "bags" / "arm7.urdf"
 _RATE = 1000.0  # Hz

@@ -24,10 +24,10 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session, save
+from geomid_ros.simulation.description import robot_description
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import simulate
 from geomid_ros.simulation.robot import build_robot
-from geomid_ros.simulation.robots import robot_description
 
 _ROBOT, _SENSOR_LINK, _LAST_LINK = "arm7", "wrist_ft", "tool"
 _MASS = 1.0  # kg

@@ -30,9 +30,9 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import Effect
 from geomid_ros.model.effects.friction import CoulombFriction
 from geomid_ros.model.robot import Robot
+from geomid_ros.simulation.description import WRIST_FRAME, robot_description
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import WRIST_FRAME, robot_description
 from geomid_ros.types import FloatArray
 
 FIRST_SEED = 5000

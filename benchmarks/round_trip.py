@@ -22,10 +22,10 @@ from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
 from geomid_ros.session.session import save
 from geomid_ros.session.written_simulation import write_found
-from geomid_ros.simulation.effects.effect_sizes import SIZES as HIDEABLE
+from geomid_ros.simulation.description import WRIST_FRAME
+from geomid_ros.simulation.effect_sizes import SIZES as HIDEABLE
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import WRIST_FRAME
 
 _ROBOT = "arm3"
 URDF = Path(__file__).parents[1] / f"bags/{_ROBOT}.urdf"

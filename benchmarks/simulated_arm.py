@@ -15,10 +15,9 @@ from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect, joint_o
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.simulation.description import read_description
+from geomid_ros.simulation.description import read_description, robot_description
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
 ROBOT = "arm7"

@@ -28,9 +28,9 @@ from geomid_ros.checks.verdict import USABLE
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import QUANTITIES, LinkEstimate, quantities_and_moments, sizes
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.simulation.description import WRIST_FRAME, robot_description
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import WRIST_FRAME, robot_description
 from geomid_ros.types import FloatArray
 
 WRONG = 0.2

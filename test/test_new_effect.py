@@ -24,9 +24,9 @@ import yaml
 from commands.running import refused
 from files.recordings import BAGS, QUICK, Recorded, recorded, write_bag
 
+from geomid_ros.simulation.description import WRIST_FRAME
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import WRIST_FRAME
 from geomid_ros.types import FloatArray
 
 ROOT = Path(__file__).parents[1]

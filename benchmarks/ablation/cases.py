@@ -36,9 +36,9 @@ from geomid_ros.session.recordings import HELD_OUT, Topics, read_samples, split_
 from geomid_ros.session.review import faulty_streams
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
+from geomid_ros.simulation.description import robot_description
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import robot_description
 
 _FOLDER = Path("out/ablation")
 _CHOSEN = ("ur10", "lwr4", "tx40")  # identified with optional effects, too; the choice takes most of the time

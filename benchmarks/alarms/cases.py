@@ -15,9 +15,8 @@ from benchmarks.blind.realistic.case import ROBOTS as REALISTIC
 from benchmarks.feedforward import described
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import START
-from geomid_ros.simulation.description import read_description
+from geomid_ros.simulation.description import read_description, robot_description
 from geomid_ros.simulation.options import Hidden, SimulationOptions
-from geomid_ros.simulation.robots import robot_description
 
 ROBOTS = ("panda.urdf", *REALISTIC)
 WHATS = ("quiet", "place", "friction", "payload")

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation.effects.effect_sizes import SIZES
+from geomid_ros.simulation.description import WRIST_FRAME
+from geomid_ros.simulation.effect_sizes import SIZES
 from geomid_ros.simulation.options import GEARS, Hidden, SimulationOptions
-from geomid_ros.simulation.robots import WRIST_FRAME
 
 OUTSIDE = ("cogging", "cable_force", "drift", "position_friction", "joint_coupling")
 """Effects that the workflow has no name for."""

@@ -11,7 +11,7 @@ import numpy as np
 from defusedxml import ElementTree as Reader
 
 from geomid_ros.simulation.description import Description, LinkInertia
-from geomid_ros.simulation.effects.physics import TrueEffect, payload_inertia, play_name, rotation
+from geomid_ros.simulation.effects import TrueEffect, payload_inertia, play_name, rotation
 from geomid_ros.simulation.options import GEARS
 from geomid_ros.simulation.plant import GRAVITY, Simulator
 from geomid_ros.types import FloatArray

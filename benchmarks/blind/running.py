@@ -17,12 +17,11 @@ from typing import Any
 from benchmarks.blind import drake_robot
 from benchmarks.blind.case import Case, draw, robot_file
 from geomid_ros.errors import GeomidError
-from geomid_ros.simulation.description import read_description
-from geomid_ros.simulation.effects.effect_sizes import chosen_effects
+from geomid_ros.simulation.description import read_description, robot_description
+from geomid_ros.simulation.effect_sizes import chosen_effects
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import robot_description
 
 _ROOT = Path(__file__).parents[2]
 _PATIENCE = 1800.0  # s

@@ -11,9 +11,9 @@ from click.core import ParameterSource
 from geomid_ros.commands.options import Names, Output, options_of
 from geomid_ros.commands.terminal import progress_bar
 from geomid_ros.errors import InputError
-from geomid_ros.simulation.effects.effect_sizes import SIZES
+from geomid_ros.simulation.description import WRIST_FRAME, robot_names
+from geomid_ros.simulation.effect_sizes import SIZES
 from geomid_ros.simulation.options import LINK_MASS, NOTHING, Hidden, SimulationOptions, parse_hidden
-from geomid_ros.simulation.robots import WRIST_FRAME, robot_names
 
 if TYPE_CHECKING:
     from geomid_ros.simulation.recording import SimulationResult

@@ -18,7 +18,7 @@ from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLi
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from geomid_ros.simulation.effects.effect_sizes import WRENCH_TOPIC
+from geomid_ros.simulation.effect_sizes import WRENCH_TOPIC
 from geomid_ros.simulation.motion import RunTrace, WalkTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.types import FloatArray

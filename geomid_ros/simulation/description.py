@@ -1,6 +1,8 @@
-"""Inertials and joint limits from a URDF, read by the simulator itself, and random perturbations of bodies.
+"""Inertials and joint limits from a URDF, read by the simulator itself, random perturbations of bodies, and the robots
+that ship with the package.
 
-MuJoCo reads the kinematics from the same text, stripped of everything else.
+MuJoCo reads the kinematics from the same text, stripped of everything else. The shipped robots are files without meshes
+in ``robots``.
 """
 
 from __future__ import annotations
@@ -8,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
@@ -15,9 +19,14 @@ import numpy as np
 from defusedxml import ElementTree
 from defusedxml.common import DefusedXmlException
 
-from geomid_ros.errors import InputError, refusing
+from geomid_ros.errors import InputError, refusing, unknown_name
 from geomid_ros.types import FloatArray, frozen
 
+WRIST_FRAME = "wrist_ft"
+"""Link with the wrench sensor on every shipped robot."""
+
+_SHIPPED = files(__package__) / "robots"
+_SUFFIX = ".urdf"
 _LARGEST = 5_000_000
 _MOVING = {"revolute", "continuous", "prismatic"}
 _KINEMATIC = {"link": (), "joint": ("origin", "parent", "child", "axis", "limit")}
@@ -271,3 +280,19 @@ def set_inertia(mujoco: Any, element: Any, body: LinkInertia) -> None:
     element.iquat = quaternion
     element.inertia = moments
     element.explicitinertial = True
+
+
+def robot_names() -> tuple[str, ...]:
+    """Names of the shipped robots, sorted."""
+    names = (entry.name for entry in _SHIPPED.iterdir())
+    return tuple(sorted(name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX)))
+
+
+def robot_description(robot: str) -> str:
+    """URDF text of a shipped robot, or of the file at ``robot`` when that ends in ``.urdf``."""
+    if robot.endswith(_SUFFIX):
+        with refusing(f"{robot}: the URDF cannot be read", OSError, UnicodeDecodeError, advice="name a text file"):
+            return Path(robot).read_text(encoding="utf-8")
+    if robot not in robot_names():
+        raise unknown_name("robot", robot, (*robot_names(), "path/to/your" + _SUFFIX))
+    return _SHIPPED.joinpath(robot + _SUFFIX).read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ import numpy as np
 
 from geomid_ros.errors import refusing, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, set_inertia
-from geomid_ros.simulation.effects.physics import (
+from geomid_ros.simulation.effects import (
     FORCES,
     FRICTION,
     MODEL,

@@ -15,14 +15,20 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, check_name
-from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, perturbed, read_description
-from geomid_ros.simulation.effects.effect_sizes import chosen_effects
-from geomid_ros.simulation.effects.physics import FRICTION, TrueEffect, noiseless_measurement
+from geomid_ros.simulation.description import (
+    Description,
+    LinkInertia,
+    UrdfLimits,
+    perturbed,
+    read_description,
+    robot_description,
+)
+from geomid_ros.simulation.effect_sizes import chosen_effects
+from geomid_ros.simulation.effects import FRICTION, TrueEffect, noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import GEARS, LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot, rounded
-from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import BoolArray, FloatArray
 
 _WAVES = ((8, 40), (60, 200))  # cycles per turn: of the magnets, of the gear

@@ -16,7 +16,7 @@ import yaml
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.description import LinkInertia
-from geomid_ros.simulation.effects.physics import noiseless_measurement
+from geomid_ros.simulation.effects import noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import GRAVITY, Plant

@@ -10,13 +10,19 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, perturbed, read_description
-from geomid_ros.simulation.effects.effect_sizes import chosen_effects
-from geomid_ros.simulation.effects.physics import TrueEffect, noiseless_measurement
+from geomid_ros.simulation.description import (
+    Description,
+    LinkInertia,
+    UrdfLimits,
+    perturbed,
+    read_description,
+    robot_description,
+)
+from geomid_ros.simulation.effect_sizes import chosen_effects
+from geomid_ros.simulation.effects import TrueEffect, noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace, SetPoints
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant, Simulator
-from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray, IntArray
 
 _STIFFNESS = 10.0  # effort limits per rad (or m) of position error

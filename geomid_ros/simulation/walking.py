@@ -24,12 +24,12 @@ from geomid_ros.simulation.description import (
     perturbed,
     pseudo_inertia,
     read_description,
+    robot_description,
 )
 from geomid_ros.simulation.motion import WalkTrace
 from geomid_ros.simulation.options import LONGEST_STEP, RandomStream, generator
 from geomid_ros.simulation.plant import buildable, load_mujoco, rigid_bodies
 from geomid_ros.simulation.recording import companion_path, link_entry, refuse_existing
-from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
 _SHORTEST = 4.0  # [s] duration of a gait

@@ -15,11 +15,11 @@ from benchmarks.blind.realistic.case import RealisticCase
 from benchmarks.blind.realistic.figures import figures
 from benchmarks.blind.realistic.judging import judge
 from benchmarks.blind.realistic.sizing import LEAST, MOST, sized
-from geomid_ros.simulation.effects.physics import noiseless_measurement
+from geomid_ros.simulation.description import robot_description
+from geomid_ros.simulation.effects import noiseless_measurement
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.realistic import build_realistic
 from geomid_ros.simulation.recording import control_loop, record
-from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
 pytest.importorskip("mujoco")

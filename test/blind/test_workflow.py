@@ -11,9 +11,9 @@ import pytest
 from commands.running import done
 from files.recordings import QUICK
 
+from geomid_ros.simulation.description import WRIST_FRAME, robot_description
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import WRIST_FRAME, robot_description
 
 pytestmark = pytest.mark.usefixtures("found_only")
 

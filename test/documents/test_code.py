@@ -24,7 +24,7 @@ import geomid_ros
 from geomid_ros.commands import root
 from geomid_ros.estimation import paper_estimator
 from geomid_ros.session.configuration import PARAMETERS, Configuration
-from geomid_ros.simulation.effects.effect_sizes import SIZES
+from geomid_ros.simulation.effect_sizes import SIZES
 from geomid_ros.simulation.options import NOTHING, parse_hidden
 
 from .reading import DOCUMENTS, NOTEBOOK, ROOT, Block, blocks, cells, outputs, spans, text_of

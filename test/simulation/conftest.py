@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from geomid_ros.simulation.description import WRIST_FRAME
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import contributions, control_loop, record, write_truth
 from geomid_ros.simulation.robot import TrueRobot, build_robot
-from geomid_ros.simulation.robots import WRIST_FRAME
 
 from .independent import Independent
 

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from files.recordings import chunks, with_checksums
 
+from geomid_ros.simulation.description import WRIST_FRAME
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import SimulationResult, simulate
-from geomid_ros.simulation.robots import WRIST_FRAME
 from geomid_ros.types import FloatArray
 
 from .reading import Recorded, recorded

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from geomid_ros.errors import InputError
+from geomid_ros.simulation.description import robot_description
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import robot_description
 
 QUICK = SimulationOptions(robot="arm3", duration=1.0)
 

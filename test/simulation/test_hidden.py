@@ -12,12 +12,11 @@ import yaml
 from files.recordings import QUICK
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation.description import read_description
-from geomid_ros.simulation.effects.effect_sizes import SIZES, chosen_effects
-from geomid_ros.simulation.effects.physics import TrueEffect
+from geomid_ros.simulation.description import WRIST_FRAME, read_description, robot_description
+from geomid_ros.simulation.effect_sizes import SIZES, chosen_effects
+from geomid_ros.simulation.effects import TrueEffect
 from geomid_ros.simulation.options import Hidden, SimulationOptions, parse_hidden
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import WRIST_FRAME, robot_description
 from geomid_ros.types import FloatArray
 
 from .reading import recorded

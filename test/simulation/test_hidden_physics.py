@@ -13,11 +13,11 @@ import pytest
 from files.recordings import QUICK
 from scipy.interpolate import CubicSpline
 
-from geomid_ros.simulation.effects.effect_sizes import SIZES
-from geomid_ros.simulation.effects.physics import noiseless_measurement
+from geomid_ros.simulation.description import WRIST_FRAME
+from geomid_ros.simulation.effect_sizes import SIZES
+from geomid_ros.simulation.effects import noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import Hidden, SimulationOptions
-from geomid_ros.simulation.robots import WRIST_FRAME
 from geomid_ros.types import FloatArray
 
 from .conftest import Run, simulated

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geomid_ros.simulation.description import WRIST_FRAME
 from geomid_ros.simulation.motion import FADE_IN, RunTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import control_loop, record
 from geomid_ros.simulation.robot import build_robot
-from geomid_ros.simulation.robots import WRIST_FRAME
 
 from .conftest import Run
 

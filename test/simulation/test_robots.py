@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation.description import LinkInertia, perturbed, pseudo_inertia, read_description
+from geomid_ros.simulation.description import (
+    LinkInertia,
+    perturbed,
+    pseudo_inertia,
+    read_description,
+    robot_description,
+)
 from geomid_ros.simulation.motion import SetPoints, exciting_motion
 from geomid_ros.simulation.options import MOTIONS, SimulationOptions
-from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import frozen
 
 ONE_JOINT = """<robot name="one"><link name="base"/>

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind.case import robot_file
-from geomid_ros.simulation.description import Description, read_description
+from geomid_ros.simulation.description import Description, read_description, robot_description
 from geomid_ros.simulation.options import LINK_MASS, Hidden, SimulationOptions
-from geomid_ros.simulation.robots import robot_description
 
 CHANGES = (
     "payload",

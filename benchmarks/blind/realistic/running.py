@@ -14,9 +14,8 @@ from benchmarks.blind.realistic.case import RealisticCase, draw
 from benchmarks.blind.realistic.sizing import sized
 from benchmarks.blind.running import command
 from geomid_ros.errors import GeomidError
-from geomid_ros.simulation.description import read_description
+from geomid_ros.simulation.description import read_description, robot_description
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.robots import robot_description
 
 SITUATIONS = ("model", "urdf")
 """What ``gap`` starts from: a model identified before the change, or the URDF alone."""

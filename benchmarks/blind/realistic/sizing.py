@@ -11,7 +11,7 @@ from benchmarks.blind.case import robot_file
 from benchmarks.blind.realistic.case import RealisticCase
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import body_of, pseudo_inertia
-from geomid_ros.simulation.effects.physics import noiseless_measurement
+from geomid_ros.simulation.effects import noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant

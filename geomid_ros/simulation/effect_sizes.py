@@ -15,7 +15,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, check_name, unknown_name
 from geomid_ros.simulation.description import Description, UrdfLimits
-from geomid_ros.simulation.effects.physics import TrueEffect
+from geomid_ros.simulation.effects import TrueEffect
 from geomid_ros.simulation.options import GEARS, Hidden, RandomStream, SimulationOptions, generator
 
 _ROTOR_TIME = 1e-4  # [s] to V at E: a rotor as light as the integration allows, hardly visible in the noise

@@ -1,1 +1,0 @@
-"""Physical effects in addition to the inertias."""
