@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.live.inbox import Received
+from geomid_ros.live.threads import Received
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.simulation.bag import START, write_bag
 from geomid_ros.simulation.description import UrdfLimits

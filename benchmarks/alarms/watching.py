@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 
-from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Failures, Listener
+from geomid_ros.live.threads import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.monitoring.change_detection import PART, ChannelGap
 from geomid_ros.monitoring.payload_watch import CarriedPayload

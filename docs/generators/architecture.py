@@ -35,8 +35,8 @@ class Station:
 
 
 STATIONS = (
-    Station("ros.inputs", ("receives and counts", "messages"), 0, 0, "node", ("live.inbox",)),
-    Station("live.inbox", ("a queue: no message", "waits for a solve"), 1, 0, "node", ("live.worker",)),
+    Station("ros.inputs", ("receives and counts", "messages"), 0, 0, "node", ("live.threads",)),
+    Station("live.threads", ("a queue: no message", "waits for a solve"), 1, 0, "node", ("live.worker",)),
     Station("live.worker", ("a thread that turns", "messages into rows"), 2, 0, "node", ("signals.messages",)),
     Station("files.bags.bag", ("reads mcap and db3,", "also truncated files"), 0, 1, "bag", ("session.recordings",)),
     Station("session.recordings", ("splits bags: training", "and held-out parts"), 1, 1, "bag", ("signals.messages",)),

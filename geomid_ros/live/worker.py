@@ -13,10 +13,9 @@ import numpy as np
 from geomid_ros.checks.verdict import implausible_mass
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.inbox import Inbox, Received
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Failures, Listener, Status
-from geomid_ros.live.threads import PATIENCE, Activity, start_daemon
+from geomid_ros.live.threads import PATIENCE, Activity, Inbox, Received, start_daemon
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.payload_watch import with_payload

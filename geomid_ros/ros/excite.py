@@ -25,7 +25,7 @@ from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.approach import ApproachPath, stopping_accelerations, stopping_trajectory, trajectory_through
 from geomid_ros.excitation.limits import JointState, MotionMonitor, RobotLimits, check_motion
 from geomid_ros.excitation.motion import Trajectory
-from geomid_ros.live.inbox import MOST_AT_ONCE
+from geomid_ros.live.threads import MOST_AT_ONCE
 from geomid_ros.model.robot import Robot
 from geomid_ros.ros.controller import TrajectoryController, find_controller
 from geomid_ros.ros.inputs import DATA

@@ -25,7 +25,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, JointState
 
 from geomid_ros.errors import InputError
-from geomid_ros.live.inbox import MOST_AT_ONCE, Received
+from geomid_ros.live.threads import MOST_AT_ONCE, Received
 from geomid_ros.session.configuration import (
     AT_START,
     BY_NAME,

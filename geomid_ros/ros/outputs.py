@@ -26,9 +26,9 @@ from geomid_ros.exports.payload import Payload
 from geomid_ros.files.schema import FORMAT, attributes_entry
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.effort_predictor import EffortPredictor, Predicted
-from geomid_ros.live.inbox import Received
 from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Listener
+from geomid_ros.live.threads import Received
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion

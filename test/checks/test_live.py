@@ -13,8 +13,8 @@ from files.recordings import BAGS, recorded
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Failures, Listener
+from geomid_ros.live.threads import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags

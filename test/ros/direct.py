@@ -11,8 +11,8 @@ from typing import Any
 from files.recordings import Recorded
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Failures, Listener
+from geomid_ros.live.threads import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.session import document

@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 from geomid_ros.estimation.identifier import EstimationTask, Identifier
-from geomid_ros.live import inbox, saving, supervisor
+from geomid_ros.live import saving, supervisor, threads
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros import main
 
@@ -158,7 +158,7 @@ def run() -> None:
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
     plant(saving, "save", {"saving fails": fail})
-    inbox.MOST_AT_ONCE, supervisor.MOST_RESTARTS = AT_ONCE, 1
+    threads.MOST_AT_ONCE, supervisor.MOST_RESTARTS = AT_ONCE, 1
     watch = Watch()
     supervisor.Supervisor.restart_hung_threads = lambda self: watch(self)  # noqa: PLW0108 an object is no method
     main.main()

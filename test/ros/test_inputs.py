@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from geomid_ros.live.effort_predictor import Predicted
-from geomid_ros.live.inbox import Received
+from geomid_ros.live.threads import Received
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import serialised
 from geomid_ros.signals.ledger import Account, Ledger

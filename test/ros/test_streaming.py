@@ -21,7 +21,7 @@ from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live.effort_predictor import EffortPredictor
-from geomid_ros.live.inbox import Received
+from geomid_ros.live.threads import Received
 from geomid_ros.ros.node import GeomidNode
 from geomid_ros.ros.outputs import Streaming, ros_time
 from geomid_ros.session.configuration import Configuration

@@ -22,10 +22,9 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.disk import write_text
 from geomid_ros.live import saving, threads
 from geomid_ros.live import supervisor as module
-from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Listener
 from geomid_ros.live.supervisor import HANGING, Supervisor
-from geomid_ros.live.threads import Activity
+from geomid_ros.live.threads import Activity, Received
 from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger

@@ -20,10 +20,10 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.archive import decoded, encoded
 from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.live import inbox
+from geomid_ros.live import threads
 from geomid_ros.live import worker as module
-from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Failures, Listener
+from geomid_ros.live.threads import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
@@ -366,12 +366,12 @@ def standing_still(watched: Watched) -> Iterator[None]:
 
 def test_what_waits_is_bounded_by_number_and_bytes(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was taken out has room again."""
-    monkeypatch.setattr(inbox, "MOST_WAITING", 30)
+    monkeypatch.setattr(threads, "MOST_WAITING", 30)
     for _ in range(2):
         with standing_still(quiet):
             quiet.feed(0, 40)
         quiet.final()
-    monkeypatch.setattr(inbox, "MOST_WAITING_BYTES", 19 * len(JOINTS[0][1]))
+    monkeypatch.setattr(threads, "MOST_WAITING_BYTES", 19 * len(JOINTS[0][1]))
     for _ in range(2):
         with standing_still(quiet):
             quiet.feed(0, 40)

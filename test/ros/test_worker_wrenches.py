@@ -18,8 +18,8 @@ from signals.feeding import completed
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import worker as module
-from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Failures, Listener, Status
+from geomid_ros.live.threads import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.ros.diagnostics import Diagnostics

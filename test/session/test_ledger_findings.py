@@ -20,8 +20,8 @@ from signals.feeding import feed
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import worker as live
-from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Failures, Listener
+from geomid_ros.live.threads import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.configuration import Configuration
