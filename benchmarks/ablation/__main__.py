@@ -56,7 +56,7 @@ def _parsed() -> argparse.Namespace:
         nargs="+",
         default=list(PACKAGES),
         metavar="MODULE",
-        help=f"of {', '.join(PACKAGES)}, e.g. signals.joint_gate",
+        help=f"of {', '.join(PACKAGES)}, e.g. signals.gates",
     )
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=VARIANTS, help="other values to try")
     parser.add_argument("--cases", nargs="+", default=[""], metavar="TEXT", help="only those with it in their names")

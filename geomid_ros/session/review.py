@@ -38,7 +38,7 @@ from geomid_ros.model.shape_prior import verdict as verdict_on_shape
 from geomid_ros.model.shapes import volume
 from geomid_ros.model.urdf_tree import inertial_parameters, read_xml
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.signals.joint_gate import LEAP
+from geomid_ros.signals.gates import LEAP
 from geomid_ros.signals.ledger import Account, Ledger, Meaning, Reason, meaning_of
 from geomid_ros.signals.messages import IMU, message_type
 from geomid_ros.signals.unitree import KINDS

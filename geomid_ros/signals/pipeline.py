@@ -20,13 +20,12 @@ from geomid_ros.model.controller import PDController
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.samples import Column, Samples
-from geomid_ros.signals.joint_gate import JointGate
+from geomid_ros.signals.gates import Gate, JointGate, ReorderBuffer, Source
 from geomid_ros.signals.joint_messages import SILENT, JointReader, JointStateMerger, LockedJoints, Part
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.message_batch import NO_STAMP, NOT_VALID, MessageBatch, commands, imu_readings, poses, wrenches
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, AcceptedMessages, Block, Message
 from geomid_ros.signals.moving_base import Stance
-from geomid_ros.signals.reorder_buffer import Gate, ReorderBuffer, Source
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import MOST_WAITING, SignalSettings
 from geomid_ros.types import AnyArray, FloatArray

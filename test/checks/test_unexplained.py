@@ -18,7 +18,7 @@ from geomid_ros import Identification
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.unexplained import MOST, badly_explained, hint, rms, unexplained
-from geomid_ros.signals.joint_gate import LEAP
+from geomid_ros.signals.gates import LEAP
 from geomid_ros.types import FloatArray
 
 NAMES = ("shoulder", "elbow", "wrist")

@@ -31,7 +31,7 @@ from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.joint_gate import CLOCK_SET
+from geomid_ros.signals.gates import CLOCK_SET
 from geomid_ros.signals.ledger import Account, driver_error, meaning_of
 
 from .recordings import BAGS

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from geomid_ros.signals.gates import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Gate, ReorderBuffer
 from geomid_ros.signals.message_batch import NO_MESSAGES, MessageBatch
-from geomid_ros.signals.reorder_buffer import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Gate, ReorderBuffer
 from geomid_ros.signals.settings import MESSAGES_UNTIL_DECISION
 
 from .feeding import START

@@ -16,7 +16,7 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTACT, _chi_square, _edge_state
+from geomid_ros.signals.gates import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTACT, _chi_square, _edge_state
 from geomid_ros.signals.messages import JOINT_STATES, Block, Decoder
 from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
