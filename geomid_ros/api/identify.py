@@ -27,7 +27,7 @@ from geomid_ros.files.models.effects_file import write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
 from geomid_ros.files.models.posterior import POSTERIOR, posterior_path, read_posterior, write_posterior
 from geomid_ros.files.models.readers import READERS, URDF, with_same_files
-from geomid_ros.gap.evidence.features import KnownRemainder
+from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples

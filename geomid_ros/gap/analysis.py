@@ -19,10 +19,10 @@ from geomid_ros.gap.candidates import (
     EffectsSupports,
     Shapes,
 )
-from geomid_ros.gap.evidence.features import KnownRemainder
-from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
-from geomid_ros.gap.evidence.noise import Autoregression, noise_floor, runs_of
-from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records, TotalModel
+from geomid_ros.gap.features import KnownRemainder
+from geomid_ros.gap.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
+from geomid_ros.gap.noise import Autoregression, noise_floor, runs_of
+from geomid_ros.gap.records import FEWEST_ROWS, Records, TotalModel
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, fit_of_prior
 from geomid_ros.inference.probability import Support

@@ -15,13 +15,12 @@ from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap.analysis import analyse, known_remainder
 from geomid_ros.gap.candidates import Candidate, EffectsPrior, EffectTerm, Shapes, passivity_constraints
-from geomid_ros.gap.evidence.features import KnownRemainder
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
-from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records
-from geomid_ros.gap.judgement.confirmed_changes import confirmed_changes, folded
-from geomid_ros.gap.judgement.held_out import HeldOut, locate_residuals
-from geomid_ros.gap.judgement.verdict import changed_links, findings, ranking, unexplained, verdict
+from geomid_ros.gap.confirmed_changes import confirmed_changes, folded
+from geomid_ros.gap.features import KnownRemainder
+from geomid_ros.gap.linearised_problem import LinearisedProblem, root_mean_square, total_model
+from geomid_ros.gap.records import FEWEST_ROWS, Records
 from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.verdict import HeldOut, changed_links, findings, locate_residuals, ranking, unexplained, verdict
 from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.inference.prior import OtherRecordings, Prior
 from geomid_ros.model.alike_parts import AlikeParts

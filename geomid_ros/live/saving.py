@@ -19,7 +19,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
 from geomid_ros.files.disk import check_writable
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.gap.evidence.features import KnownRemainder
+from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.live.threads import PATIENCE, Activity, start_daemon, start_later
 from geomid_ros.live.worker import LONG, Worker
 from geomid_ros.session.session import Session, save

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.files.models.gap_file import GapFile
-from geomid_ros.gap.judgement.held_out import GAP_ABOVE
 from geomid_ros.gap.result import Finding, GapResult, ResidualDependence
+from geomid_ros.gap.verdict import GAP_ABOVE
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import KnownEffect

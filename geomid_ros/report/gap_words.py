@@ -10,8 +10,8 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS, STDS_OF_95
 from geomid_ros.files.models.effects_file import effect_name
-from geomid_ros.gap.judgement.held_out import GAP_ABOVE
 from geomid_ros.gap.result import Confidence, Finding, GapResult, LinkChange, Ranked, Rival, Unexplained
+from geomid_ros.gap.verdict import GAP_ABOVE
 from geomid_ros.model.channels import BASE
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.types import FloatArray

@@ -24,7 +24,7 @@ from geomid_ros.files.models.posterior import (
     read_remainder,
 )
 from geomid_ros.gap.candidates import Shapes, library_columns
-from geomid_ros.gap.evidence.features import KnownRemainder
+from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, find_gap, remainder_of_model, residual_rms
 from geomid_ros.inference.prior import OtherRecordings

@@ -26,7 +26,7 @@ from geomid_ros.files.models.posterior import (
     write_population,
     write_posterior,
 )
-from geomid_ros.gap.evidence.features import Basis, KnownRemainder
+from geomid_ros.gap.features import Basis, KnownRemainder
 from geomid_ros.model.effects import Quantity
 
 from .estimates import estimate_of, link_estimate

@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
-from geomid_ros.gap.evidence.records import Records
+from geomid_ros.gap.linearised_problem import LinearisedProblem
+from geomid_ros.gap.records import Records
 from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import JointElasticity

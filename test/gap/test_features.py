@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from geomid_ros.gap.evidence.features import Features, features, hats, knots
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
-from geomid_ros.gap.evidence.records import Records
+from geomid_ros.gap.features import Features, features, hats, knots
+from geomid_ros.gap.linearised_problem import LinearisedProblem
+from geomid_ros.gap.records import Records
 from geomid_ros.inference.fit import fit_of_prior
 
 from . import planted

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
-from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.gap.evidence.records import Records
+from geomid_ros.gap.linearised_problem import LinearisedProblem
+from geomid_ros.gap.noise import Autoregression
+from geomid_ros.gap.records import Records
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior
 from geomid_ros.inference.prior import OtherRecordings

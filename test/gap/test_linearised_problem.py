@@ -10,9 +10,9 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.gap.candidates import EffectTerm
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.gap.evidence.records import Records
+from geomid_ros.gap.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.noise import Autoregression
+from geomid_ros.gap.records import Records
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior

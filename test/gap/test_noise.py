@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from geomid_ros.gap.evidence.noise import Autoregression, levinson, runs_of
+from geomid_ros.gap.noise import Autoregression, levinson, runs_of
 
 
 def planted(count: int, seed: int = 3) -> np.ndarray:

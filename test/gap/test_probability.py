@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap import analysis
-from geomid_ros.gap.judgement.verdict import ranking
+from geomid_ros.gap.verdict import ranking
 from geomid_ros.inference.probability import Support, Supports, relative_std_from_remainder, separability
 from geomid_ros.inference.selection import Selection
 

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from model.robots import fixed_base
 
-from geomid_ros.gap.evidence.records import Records, TotalModel
+from geomid_ros.gap.records import Records, TotalModel
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
 from geomid_ros.model.effects.drive import RotorInertia
 from geomid_ros.model.effects.effect import JointMotion, PairEffect
@@ -220,7 +220,7 @@ def test_the_motion_of_no_effort_is_no_channel() -> None:
     model: Any = SimpleNamespace(robot=MODEL.robot, channels=(None,) * 2, layout=SimpleNamespace(efforts=()))
     records = Records.make([samples(200)], CUTOFF)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("geomid_ros.gap.evidence.records.Dynamics", lambda *_: dynamics)
+        patch.setattr("geomid_ros.gap.records.Dynamics", lambda *_: dynamics)
         situation = records.situation(model, total())
     assert situation.predicted.shape == (len(records.samples), 2)
     assert not np.any(situation.predicted)

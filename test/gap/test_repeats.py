@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from geomid_ros.gap.evidence import noise
-from geomid_ros.gap.evidence.noise import noise_by_repeats, repeated_after
-from geomid_ros.gap.evidence.records import Records
+from geomid_ros.gap import noise
+from geomid_ros.gap.noise import noise_by_repeats, repeated_after
+from geomid_ros.gap.records import Records
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 

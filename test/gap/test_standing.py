@@ -8,10 +8,10 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.gap.analysis import known_remainder
-from geomid_ros.gap.evidence.features import LARGEST_SCALE, KnownRemainder
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
-from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.gap.evidence.records import Records
+from geomid_ros.gap.features import LARGEST_SCALE, KnownRemainder
+from geomid_ros.gap.linearised_problem import LinearisedProblem
+from geomid_ros.gap.noise import Autoregression
+from geomid_ros.gap.records import Records
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap, remainder_of_model
 from geomid_ros.inference.fit import fit_of_prior

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records
+from geomid_ros.gap.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.records import FEWEST_ROWS, Records
 from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.effects import AtJoint, identified_effect
 from geomid_ros.types import BoolArray

@@ -11,11 +11,11 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
+from geomid_ros.gap import verdict
 from geomid_ros.gap.candidates import settled_by
-from geomid_ros.gap.evidence.records import Records
-from geomid_ros.gap.judgement import verdict
-from geomid_ros.gap.judgement.held_out import locate_residuals, share, strongest
+from geomid_ros.gap.records import Records
 from geomid_ros.gap.result import Finding, GapResult, ResidualDependence
+from geomid_ros.gap.verdict import locate_residuals, share, strongest
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.channels import WrenchSensor

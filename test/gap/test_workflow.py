@@ -12,8 +12,7 @@ from scipy.signal import lfilter
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.gap import analysis, workflow
-from geomid_ros.gap.judgement import verdict
+from geomid_ros.gap import analysis, verdict, workflow
 from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.inference.prior import GAIN, OtherRecordings

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.gap import confirmed_changes as written_module
 from geomid_ros.gap import result as result_module
 from geomid_ros.gap.candidates import Candidate, EffectsFit
-from geomid_ros.gap.evidence.records import Records
-from geomid_ros.gap.judgement import confirmed_changes as written_module
+from geomid_ros.gap.records import Records
 from geomid_ros.gap.result import Finding, GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.geometry.spd import Packed

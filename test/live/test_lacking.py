@@ -12,7 +12,7 @@ from estimation.arms import efforts, motion, shipped, truth
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder
-from geomid_ros.gap.evidence.features import KnownRemainder
+from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.live import saving as module
 from geomid_ros.live.saving import Saving
 from geomid_ros.live.searches import look_for_gap

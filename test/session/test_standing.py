@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.files.models import posterior as files
-from geomid_ros.gap.evidence.features import Basis, KnownRemainder
+from geomid_ros.gap.features import Basis, KnownRemainder
 from geomid_ros.session.gap import known_remainder_of, prior_information
 
 NOTHING = np.zeros((0, 0))

@@ -6,7 +6,7 @@ The first is a NumPy archive without pickled objects. ``posterior`` is a JSON te
 of :class:`~geomid_ros.estimation.posterior.Posterior`, which describes them; ``prior_spreads`` is ``prior_stds``.
 
 From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
-:class:`~geomid_ros.gap.evidence.features.KnownRemainder`. Then ``knots`` are those of its basis. Each channel has
+:class:`~geomid_ros.gap.features.KnownRemainder`. Then ``knots`` are those of its basis. Each channel has
 ``scales_N``, ``mean_N``, which is empty if nothing is known, and ``triangle_N``: the upper triangle, row by row, in
 float32.
 
@@ -40,7 +40,7 @@ from geomid_ros.files import schema
 from geomid_ros.files.disk import read_bytes, write_bytes, write_json
 from geomid_ros.files.models.estimate_file import LinkEntry, inertias_of, link_entry
 from geomid_ros.files.schema import from_document, from_upper_triangle, to_base64, to_document, upper_triangle
-from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis, KnownRemainder
+from geomid_ros.gap.features import LARGEST_SCALE, Basis, KnownRemainder
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import AnyArray, FloatArray, IntArray, frozen
 

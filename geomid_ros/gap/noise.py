@@ -11,7 +11,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from geomid_ros.estimation.estimate import STDS_OF_95
-from geomid_ros.gap.evidence.records import Records
+from geomid_ros.gap.records import Records
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray, IntArray

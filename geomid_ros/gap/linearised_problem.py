@@ -11,9 +11,9 @@ from operator import attrgetter
 import numpy as np
 
 from geomid_ros.gap.candidates import EffectsFit, EffectTerm
-from geomid_ros.gap.evidence.features import Basis, Features, KnownRemainder, features
-from geomid_ros.gap.evidence.noise import Autoregression, runs_of
-from geomid_ros.gap.evidence.records import FEWEST_ROWS, Records, TotalModel
+from geomid_ros.gap.features import Basis, Features, KnownRemainder, features
+from geomid_ros.gap.noise import Autoregression, runs_of
+from geomid_ros.gap.records import FEWEST_ROWS, Records, TotalModel
 from geomid_ros.inference.design import ChannelRows, Design, RemainderFit
 from geomid_ros.model.effects import Effect, MotionEffect, Place, SensorEffect, Situation, SituationEffect, joints_of
 from geomid_ros.model.measurement_model import MeasurementModel, Rows

@@ -14,15 +14,15 @@ from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPrior, EffectTerm
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.evidence.records import Records, TotalModel
-from geomid_ros.gap.judgement.verdict import (
+from geomid_ros.gap.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.records import Records, TotalModel
+from geomid_ros.gap.result import LIKELY, Finding, LinkChange
+from geomid_ros.gap.verdict import (
     moment_without_mass,
     probability_by_size,
     widened_by_remainder,
     with_given_stds,
 )
-from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, scattered

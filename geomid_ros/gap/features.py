@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.gap.evidence.records import Records
+from geomid_ros.gap.records import Records
 from geomid_ros.model.effects import Situation
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray, IntArray

@@ -1,1 +1,0 @@
-"""Evidence before anything is fitted: records, noise floor, repeats, columns."""

@@ -1,1 +1,0 @@
-"""Certainty of each named effect: held-out data, location of the gap, sizes and verdict."""
