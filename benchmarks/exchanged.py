@@ -34,9 +34,8 @@ from geomid_ros.model.effects import DEFAULT_CANDIDATES
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import RecordingOptions
-from geomid_ros.session.recordings import read_samples, read_with_locked
+from geomid_ros.session.recordings import Training, read_samples, read_with_locked
 from geomid_ros.session.session import Session
-from geomid_ros.session.training import Training
 from geomid_ros.types import IntArray
 
 SETS = tuple(name for name in CASES if name != "human")

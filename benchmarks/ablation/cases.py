@@ -32,10 +32,9 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import GapSamples, find_gap_in_samples, gap_cutoff, gap_pipeline, gap_session, message_rate
-from geomid_ros.session.recordings import HELD_OUT, Topics, read_samples, split_held_out
+from geomid_ros.session.recordings import HELD_OUT, Topics, Training, read_samples, split_held_out
 from geomid_ros.session.review import faulty_streams
 from geomid_ros.session.session import Session
-from geomid_ros.session.training import Training
 from geomid_ros.simulation.description import robot_description
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import simulate

@@ -37,9 +37,8 @@ from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.gap import remainder_of
 from geomid_ros.session.options import IdentifyOptions, PathLike, Paths, PayloadOptions, paths
 from geomid_ros.session.payload import payload_session
-from geomid_ros.session.recordings import Bags, read_bags, read_fitted
+from geomid_ros.session.recordings import Bags, read_fitted, train
 from geomid_ros.session.session import Session, document, identified_urdf, installed_version
-from geomid_ros.session.training import Training
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
@@ -392,16 +391,11 @@ def _recording(share: float) -> str:
 
 def _read(session: Session, bags: Bags, progress: Progress) -> list[Samples]:
     """Return the samples to test on: the held-out ones, or all fitted ones if none are held out."""
-    training, train = Training(session), list[Samples]()
-
-    def fit(samples: Samples) -> None:
-        training.add(samples)
-        if not bags.holds_out:
-            train.append(samples)
-
-    held_out = read_bags(session, bags, fit, progress)
-    training.end()
-    return held_out if bags.holds_out else train
+    if bags.holds_out:
+        return train(session, bags, progress)
+    fitted: list[Samples] = []
+    train(session, bags, progress, fitted.append)
+    return fitted
 
 
 @takes(PayloadOptions)

@@ -32,11 +32,10 @@ from geomid_ros.fleet.recordings import FleetBag, file_system, is_local, on_this
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import Bags, Topics, read_bags, read_with_locked, with_locked
+from geomid_ros.session.recordings import Bags, Topics, read_with_locked, train, with_locked
 from geomid_ros.session.review import RecordingFacts
 from geomid_ros.session.session import Session, installed_version, save
-from geomid_ros.session.training import Training
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -160,15 +159,9 @@ def summarise(text: str, source: str, configuration: Configuration, bags: Bags) 
 
 def _read(session: Session, bags: Bags) -> tuple[list[Samples], int, int]:
     """Held-out samples, and the first and last stamp of the fitted ones [ns]."""
-    training, stamps = Training(session), list[int]()
-
-    def fit(samples: Samples) -> None:
-        training.add(samples)
-        stamps[:] = [*stamps[:1], int(samples.stamps[0]), int(samples.stamps[-1])]
-
-    held_out = read_bags(session, bags, fit)
-    training.end()
-    return held_out, stamps[0], stamps[-1]
+    stamps: list[IntArray] = []
+    held_out = train(session, bags, note=lambda samples: stamps.append(samples.stamps[[0, -1]]))
+    return held_out, int(stamps[0][0]), int(stamps[-1][1])
 
 
 def sum_of_summaries(summaries: Sequence[BagSummary]) -> BagSummary:

@@ -19,8 +19,8 @@ from geomid_ros.live.threads import PATIENCE, Activity, Inbox, Received, start_d
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.payload_watch import with_payload
+from geomid_ros.session.recordings import Training
 from geomid_ros.session.session import Session
-from geomid_ros.session.training import Training
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Block, Decoder, message_type
 from geomid_ros.signals.settings import MOST_WAITING
 from geomid_ros.types import FloatArray, IntArray

@@ -33,9 +33,16 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import HELD_OUT, Bags, read_samples, samples_of_messages, split_held_out
+from geomid_ros.session.recordings import (
+    HELD_OUT,
+    Bags,
+    Training,
+    check_measured,
+    read_samples,
+    samples_of_messages,
+    split_held_out,
+)
 from geomid_ros.session.session import Session, document
-from geomid_ros.session.training import Training, check_measured
 from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline

@@ -25,9 +25,8 @@ from geomid_ros.live.threads import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import Bags, read_bags
+from geomid_ros.session.recordings import Bags, Training, read_bags
 from geomid_ros.session.session import Session, document
-from geomid_ros.session.training import Training
 from geomid_ros.signals.gates import CLOCK_SET, EARLY, SPIKE_OR_CONTACT
 from geomid_ros.signals.joint_messages import UNWRAPPED
 from geomid_ros.signals.sampler import IN_BURSTS

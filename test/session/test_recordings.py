@@ -17,8 +17,7 @@ from model.robots import fixed_base
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import SAMPLES_PER_PIECE, Samples
 from geomid_ros.session import recordings
-from geomid_ros.session.recordings import Bags, split_held_out
-from geomid_ros.session.training import check_measured
+from geomid_ros.session.recordings import Bags, check_measured, split_held_out
 
 PERIOD = 10_000_000  # [ns]
 BAG, OTHER = Path("a"), Path("b")
