@@ -23,13 +23,7 @@ from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effect_name, effects_entries
 from geomid_ros.files.models.estimate_file import EstimateFile, link_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.posterior import (
-    RTOL,
-    check_matches_estimate,
-    places_in,
-    posterior_path,
-    read_posterior,
-)
+from geomid_ros.files.models.posterior import RTOL, check_matches_estimate, places_in, posterior_path, read_posterior
 from geomid_ros.files.models.readers import MUJOCO
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia

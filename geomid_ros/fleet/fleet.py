@@ -24,15 +24,7 @@ import numpy as np
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.files.schema import from_document
 from geomid_ros.fleet.recordings import FleetBag
-from geomid_ros.fleet.work import (
-    SUFFIX,
-    BagOutcome,
-    FleetPlan,
-    RobotResults,
-    Store,
-    solve_robot,
-    summarise_bag,
-)
+from geomid_ros.fleet.work import SUFFIX, BagOutcome, FleetPlan, RobotResults, Store, solve_robot, summarise_bag
 from geomid_ros.options import Progress, silent
 from geomid_ros.session.session import installed_version
 

@@ -17,24 +17,12 @@ from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPri
 from geomid_ros.gap.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.records import Records, TotalModel
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
-from geomid_ros.gap.verdict import (
-    moment_without_mass,
-    probability_by_size,
-    widened_by_remainder,
-    with_given_stds,
-)
+from geomid_ros.gap.verdict import moment_without_mass, probability_by_size, widened_by_remainder, with_given_stds
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.inference.probability import probability_of_square
-from geomid_ros.model.effects import (
-    DEFAULT_EFFECTS,
-    EFFECTS,
-    KnownEffect,
-    MotionEffect,
-    ParameterForm,
-    Quantity,
-)
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, KnownEffect, MotionEffect, ParameterForm, Quantity
 from geomid_ros.model.effects.effect import LoadEffect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray

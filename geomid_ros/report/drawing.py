@@ -19,19 +19,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.page import (
-    DOUBT,
-    FAINT,
-    FRAME,
-    GRID,
-    IDENTIFIED,
-    INK,
-    MEASURED,
-    NONE,
-    SHARES,
-    STICKS,
-    URDF,
-)
+from geomid_ros.report.page import DOUBT, FAINT, FRAME, GRID, IDENTIFIED, INK, MEASURED, NONE, SHARES, STICKS, URDF
 from geomid_ros.report.page import number as written
 from geomid_ros.report.pictures import (
     CHANNELS,

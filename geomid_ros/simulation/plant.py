@@ -12,16 +12,7 @@ import numpy as np
 
 from geomid_ros.errors import refusing, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, set_inertia
-from geomid_ros.simulation.effects import (
-    FORCES,
-    FRICTION,
-    MODEL,
-    STRUCTURE,
-    Places,
-    TrueEffect,
-    play_name,
-    wind_up,
-)
+from geomid_ros.simulation.effects import FORCES, FRICTION, MODEL, STRUCTURE, Places, TrueEffect, play_name, wind_up
 from geomid_ros.simulation.options import GEARS
 from geomid_ros.types import FloatArray, IntArray
 
