@@ -65,10 +65,11 @@ def impossible_description(subject: EffortData) -> Iterator[Cause]:
 
 
 def _length(subject: EffortData) -> float:
-    """Sum of all distances from a joint to the next, at zero positions."""
+    """Sum of the distances from a joint to the next along the moving links, at zero positions."""
     robot, first = subject.robot, subject.samples.select(slice(1))
     frames = robot.link_frames(replace(first, position=np.zeros_like(first.position)))
-    return float(sum(np.linalg.norm(frames[j.child][1] - frames[j.parent][1]) for j in robot.tree.joints))
+    moving = [joint for joint in robot.tree.joints if robot.body_of(joint.child)]
+    return float(sum(np.linalg.norm(frames[j.child][1] - frames[j.parent][1]) for j in moving))
 
 
 def _weights(subject: EffortData) -> FloatArray:

@@ -56,3 +56,17 @@ def test_a_limit_below_the_recorded_efforts_says_nothing_of_masses() -> None:
     effort = feels(right, truth(np.random.default_rng(5), right), motion)
     model = MeasurementModel(Robot(re.sub(r'effort="[^"]+"', 'effort="0.05"', shipped("arm3"))), ())
     assert findings(model, samples(motion, effort)) == ()
+
+
+def test_limbs_that_do_not_move_say_nothing_of_the_lengths_of_those_that_do() -> None:
+    """The arm of a humanoid whose legs and other arm are locked is much lighter than the robot is long."""
+    right = Robot(shipped("arm3"))
+    motion = moving(np.random.default_rng(6), len(right.joints), 20.0)
+    effort = feels(right, truth(np.random.default_rng(5), right), motion)
+    limbs = "".join(
+        f'<link name="limb{k}"/><joint name="hip{k}" type="fixed"><parent link="{right.tree.root}"/>'
+        f'<child link="limb{k}"/><origin xyz="0 {k} -1"/></joint>'
+        for k in range(10)
+    )
+    model = MeasurementModel(Robot(shipped("arm3").replace("</robot>", f"{limbs}</robot>")), ())
+    assert findings(model, samples(motion, effort)) == ()
