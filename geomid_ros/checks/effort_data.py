@@ -520,7 +520,7 @@ def _changes(effort: FloatArray) -> bool:
 def moving(velocity: FloatArray) -> BoolArray:
     """True where joints move, so that stiction is not arbitrary ``(N, C)``."""
     speed = np.abs(velocity)
-    return np.asarray(speed > np.maximum(REST_SPEED, _SLOW * np.max(speed, axis=0)))
+    return np.asarray(speed > _SLOW * np.max(speed, axis=0))
 
 
 def by_channel(columns: FloatArray) -> FloatArray:

@@ -13,7 +13,9 @@ from benchmarks.corruption.__main__ import judged
 from benchmarks.corruption.recording import ARM3, Recording
 from benchmarks.corruption.simulated import RAIL, simulated
 from checks.test_efforts import ROBOTS, case, checked, findings, named
+from geomid_ros.checks.effort_data import moving as is_sliding
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
+from geomid_ros.checks.transforms import TIMES
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
@@ -50,6 +52,13 @@ def test_a_slide_in_millimetres_is_not_taken_for_lengths_of_the_urdf(tmp_path: P
     wrong = replace(sound, position=scales * sound.position, velocity=scales * sound.velocity)
     (finding,) = judged(wrong, wrong.write(tmp_path / "bag")).review.findings
     assert (finding.cause.kind, finding.cause.places) == ("position", (sound.robot.joint_names[4],))
+
+
+@pytest.mark.parametrize("rate", TIMES)
+def test_joints_stick_at_the_same_samples_whatever_the_clock(rate: float) -> None:
+    """Otherwise a slow robot is explained better by stamps that make it slower: samples that stick have more noise."""
+    velocity = 0.1 * motion(np.random.default_rng(1), 3, 10.0).velocity
+    assert np.array_equal(is_sliding(rate * velocity), is_sliding(velocity))
 
 
 def test_what_one_of_two_recordings_shows_is_a_remark() -> None:
