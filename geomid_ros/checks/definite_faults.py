@@ -83,10 +83,11 @@ def _weights(subject: EffortData) -> FloatArray:
 
 
 def _denser_than_steel(bodies: FloatArray) -> BoolArray:
-    """True for bodies ``(B, 10)`` that are smaller than steel balls of their masses."""
+    """True for bodies ``(B, 10)`` that are far smaller than steel balls of their masses: moments that were too small
+    have been raised to those of such balls."""
     traces = [np.trace(pseudo_inertia.central_inertia(body)) for body in bodies]  # twice that of second moments
     least = [6.0 * body[0] * pseudo_inertia.least_gyration(body[0]) ** 2 for body in bodies]
-    return np.asarray(np.array(traces) < np.array(least))
+    return np.asarray(MASS_FACTOR * np.array(traces) < np.array(least))
 
 
 def held_efforts(subject: EffortData) -> Iterator[Cause]:

@@ -70,3 +70,12 @@ def test_limbs_that_do_not_move_say_nothing_of_the_lengths_of_those_that_do() ->
     )
     model = MeasurementModel(Robot(shipped("arm3").replace("</robot>", f"{limbs}</robot>")), ())
     assert findings(model, samples(motion, effort)) == ()
+
+
+def test_moments_that_are_too_small_are_no_masses_in_grams() -> None:
+    """They are those of bodies denser than steel, as are moments that were raised to what a mass needs at least."""
+    right = Robot(shipped("arm3"))
+    motion = moving(np.random.default_rng(6), len(right.joints), 20.0)
+    effort = feels(right, truth(np.random.default_rng(5), right), motion)
+    small = re.sub(r'( i[xyz][xyz]=)"([^"]+)"', lambda found: f'{found[1]}"{0.1 * float(found[2])}"', shipped("arm3"))
+    assert findings(MeasurementModel(Robot(small), ()), samples(motion, effort)) == ()
