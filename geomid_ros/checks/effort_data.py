@@ -62,7 +62,7 @@ class EffortData:
 
     @staticmethod
     def of(robot: Robot, kept: KeptSamples, gains: FloatArray) -> EffortData:
-        """Select the joints whose efforts are measured and change, with the robot's URDF as prior.
+        """Select the joints that move a mass and whose efforts are measured and change, with the robot's URDF as prior.
 
         Args:
             robot: under the configured gravity.
@@ -70,8 +70,7 @@ class EffortData:
             gains: ``(joints,)`` factors on the messages' efforts.
         """
         effort = kept.samples.effort
-        changing = [_changes(values) for values in effort.T]
-        joints = np.flatnonzero(is_measured(kept.samples) & changing)
+        joints = np.flatnonzero(is_measured(kept.samples) & is_changing(effort) & np.any(robot.supports, axis=1))
         usable = np.all(np.isfinite(effort[:, joints]), axis=1)
         samples = kept.samples.select(usable)
         return EffortData(
@@ -511,10 +510,10 @@ def is_measured(samples: Samples) -> BoolArray:
     return np.asarray(np.mean(np.isfinite(samples.effort), axis=0) >= MOST)
 
 
-def _changes(effort: FloatArray) -> bool:
-    """True if an effort ``(N,)`` changes at all, where it is measured."""
-    measured = effort[np.isfinite(effort)]
-    return bool(len(measured) and np.ptp(measured) > 1e-9 * np.max(np.abs(measured)))
+def is_changing(efforts: FloatArray) -> BoolArray:
+    """True for efforts ``(N, joints)`` that change at all, where they are measured ``(joints,)``."""
+    measured = [effort[np.isfinite(effort)] for effort in efforts.T]
+    return np.array([len(each) > 0 and np.ptp(each) > 1e-9 * np.max(np.abs(each)) for each in measured], dtype=bool)
 
 
 def moving(velocity: FloatArray) -> BoolArray:

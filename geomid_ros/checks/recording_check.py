@@ -14,7 +14,7 @@ from geomid_ros.checks.candidates import CandidateTest, FaultDecision, contradic
 from geomid_ros.checks.causes import MODEL, NOT_CHECKED, Cause, RecordingFault, as_faults
 from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.definite_faults import frozen_position, held_efforts, impossible_description, wrong_gains
-from geomid_ros.checks.effort_data import EffortData, is_measured
+from geomid_ros.checks.effort_data import EffortData, is_changing, is_measured
 from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
 from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet, reversed_efforts, unnamed_feet
 from geomid_ros.checks.sample_reservoir import FEWEST, KeptSamples, RecentMotion, SampleReservoir
@@ -183,8 +183,7 @@ def check_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray,
     """
     subject = EffortData.of(model.robot, kept, gains)
     moves = np.std(kept.samples.velocity, axis=0) > REST_SPEED
-    constant = moves & is_measured(kept.samples)
-    constant[subject.joints] = False
+    constant = moves & is_measured(kept.samples) & ~is_changing(kept.samples.effort)
     names = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
     findings = as_faults([Cause.of("constant", names)] if names else [])
     if np.count_nonzero(subject.is_moving) < FEWEST:

@@ -169,14 +169,14 @@ def _gains(subject: EffortData) -> Iterator[FaultCandidate]:
     every = range(len(subject.joints))
     slopes, correlations = subject.slopes()
     common, settled = _common_factor(subject)
-    if not 1.0 / MASS_FACTOR <= common <= MASS_FACTOR:
+    if common > 0.0 and not 1.0 / MASS_FACTOR <= common <= MASS_FACTOR:
         yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), settled)
-    by_size = subject.expected_std / subject.measured_std
+    by_size = subject.expected_std / subject.measured_std  # zero for joints that move no mass: any unit is possible
     factors = np.where(follows(correlations), 1.0 / np.maximum(slopes, 1e-30), by_size)
     unlike_common = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(MASS_FACTOR)
     unlike_nominal = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(MASS_FACTOR)
     loads = np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints]
-    for joint in np.flatnonzero(unlike_common & unlike_nominal).tolist() if len(every) > 1 else ():
+    for joint in np.flatnonzero(unlike_common & unlike_nominal & (by_size > 0.0)).tolist() if len(every) > 1 else ():
         factor, beyond_rating = float(factors[joint]), bool(loads[joint] > MASS_FACTOR**2)
         matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
         yield _gain(matrix, _other_unit(subject, [joint], factor), beyond_rating)

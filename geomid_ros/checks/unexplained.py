@@ -23,10 +23,12 @@ from geomid_ros.types import FloatArray
 WORSE = 1.05
 """RMS over that of the input's file: a smaller rise is negligible."""
 _ELSE = (
-    "check the axis and the sign of the position in the URDF, a coupling of its gear with that of another joint, and "
-    "that all of the recording is of this robot"
+    "check the axis and the sign of the position in the URDF, a coupling of its gear with that of another joint, that "
+    "all of the recording is of this robot, and that nothing touched it"
 )
-
+_MASSLESS = (
+    "no link that it moves has a mass in the URDF: give them an <inertial> ('geomid prior' computes it from shapes)"
+)
 
 _OF_BASE = (
     "foot loads and base motion are inconsistent: check that the clocks of the IMU and of the joints agree, that "
@@ -75,7 +77,8 @@ def hint(subject: EffortData, joint: str, share: float) -> str:
     """Describe what to look at: friction, if together with links it explains half of the residual of a joint, a
     ``share`` of its variation; else the variable that explains most of the rest, if it leaves half of the others'."""
     if joint not in subject.names:
-        return _ELSE
+        moves_mass = np.any(subject.robot.supports[subject.robot.joint_names.index(joint)])
+        return _ELSE if moves_mass else _MASSLESS
     channel = subject.names.index(joint)
     before, remaining = subject.nominal.sigmas[channel], dict[str, float]()
     without = subject.evidence(friction=False).sigmas[channel]

@@ -11,6 +11,8 @@ from estimation.arms import motion as moving
 from estimation.arms import samples, shipped, truth
 
 from checks.test_efforts import findings, named
+from geomid_ros.checks.effort_data import EffortData
+from geomid_ros.checks.unexplained import hint
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 
@@ -79,3 +81,16 @@ def test_moments_that_are_too_small_are_no_masses_in_grams() -> None:
     effort = feels(right, truth(np.random.default_rng(5), right), motion)
     small = re.sub(r'( i[xyz][xyz]=)"([^"]+)"', lambda found: f'{found[1]}"{0.1 * float(found[2])}"', shipped("arm3"))
     assert findings(MeasurementModel(Robot(small), ()), samples(motion, effort)) == ()
+
+
+def test_a_joint_that_moves_no_mass_is_not_compared_with_its_effort() -> None:
+    """Its unit, sign and name are unknown; if it is not explained, its link's mass is missing."""
+    right = Robot(shipped("arm3"))
+    motion = moving(np.random.default_rng(6), len(right.joints), 20.0)
+    recorded = samples(motion, feels(right, truth(np.random.default_rng(5), right), motion))
+    before, last = shipped("arm3").split('<link name="link3">')
+    without = Robot(before + '<link name="link3">' + re.sub(r"<inertial>.*?</inertial>", "", last, flags=re.DOTALL))
+    assert len(without.bodies) == len(right.bodies) - 1
+    assert findings(MeasurementModel(without, ()), recorded) == ()
+    (joint,) = set(without.joint_names) - set(EffortData.of_all(without, recorded).names)
+    assert "has a mass in the URDF" in hint(EffortData.of_all(without, recorded), joint, 1.0)

@@ -16,6 +16,8 @@ from checks.test_efforts import ROBOTS, case, checked, findings, named
 from geomid_ros.checks.effort_data import moving as is_sliding
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
 from geomid_ros.checks.transforms import TIMES
+from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.robot import Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
@@ -59,6 +61,24 @@ def test_joints_stick_at_the_same_samples_whatever_the_clock(rate: float) -> Non
     """Otherwise a slow robot is explained better by stamps that make it slower: samples that stick have more noise."""
     velocity = 0.1 * motion(np.random.default_rng(1), 3, 10.0).velocity
     assert np.array_equal(is_sliding(rate * velocity), is_sliding(velocity))
+
+
+def test_the_unit_of_a_joint_that_no_link_loads_is_open() -> None:
+    """One of two crossed slides stands still, with noise for its effort."""
+    robot = Robot(
+        '<robot name="slides"><link name="base"/>'
+        + "".join(
+            f'<link name="{child}"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
+            f'iyz="0"/></inertial></link><joint name="{child}_slide" type="prismatic"><parent link="{parent}"/>'
+            f'<child link="{child}"/><axis xyz="{axis}"/><limit lower="-9" upper="9" effort="50" velocity="9"/></joint>'
+            for parent, child, axis in (("base", "x", "1 0 0"), ("x", "y", "0 1 0"))
+        )
+        + "</robot>"
+    )
+    moved = motion(np.random.default_rng(1), 2, 10.0)
+    still = Motion(*([0.0, 1.0] * values for values in (moved.position, moved.velocity, moved.acceleration)))
+    measured = [0.0, 2.0] * still.acceleration + 0.1 * np.random.default_rng(2).normal(size=still.position.shape)
+    assert findings(MeasurementModel(robot, ()), samples(still, measured)) == ()
 
 
 def test_what_one_of_two_recordings_shows_is_a_remark() -> None:
