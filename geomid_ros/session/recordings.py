@@ -301,7 +301,9 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     if "frame" in meanings:
         reasons.append("--wrench sets the frame of a wrench, wrench.*.frame_id the frame_id of its messages")
     text = f"{bag.path}: no usable samples. " + "; ".join(reasons)
-    joints = f"The URDF's moving joints: {', '.join(session.robot.joint_names)}"
+    names = session.robot.joint_names
+    absent = [name for name in names if name not in session.received_joints]
+    joints = f"The URDF's moving joints: {', '.join(names)}; in no message: {','.join(absent)}"
     end = "" if text.endswith("?") else "."
     return f"{text}{end} Or the recording is of another robot. {joints}" if "joint" in meanings else text
 

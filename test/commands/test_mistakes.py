@@ -118,7 +118,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "5 other names": (on(joints(name=lambda _: ["a", "b", "c"])), r"none of the messages' names is a joint.*'a', 'b'"),
     "6 one other name": (
         on(joints(name=lambda names: ["elbow" if name == "joint2" else name for name in names])),
-        r"'joint2' is missing: .*--lock.*merge_joint_states \(--merge\); or is it 'elbow'\? Or the recording is",
+        r"'joint2' is missing: .*--lock.*joint_states \(--merge\); or is it 'elbow'\? Or the .*in no message: joint2$",
     ),
     "7 no efforts": (
         on(joints(effort=lambda _: np.array([]))),
