@@ -90,8 +90,13 @@ def test_friction_of_a_file_counts_on_the_base_of_legs_that_stand() -> None:
 
 
 def test_what_is_loaded_is_what_was_fitted_with_a_joint_locked(tmp_path: Path) -> None:
-    """It moves in the files, so that what is behind it has a mass; at zero, all is as it was fitted."""
-    result = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", lock=["joint3"], reader="mujoco")
+    """It moves in the files, so that what is behind it has a mass; at zero, all is as it was fitted. Friction that the
+    URDF has where nothing moves is not added to the model."""
+    (tmp_path / "damped.urdf").write_text(
+        (BAGS / "arm3.urdf").read_text().replace('type="fixed">', 'type="fixed"><dynamics damping="0.3"/>')
+    )
+    result = geomid_ros.identify(BAGS / "arm3", tmp_path / "damped.urdf", lock=["joint3"], reader="mujoco")
+    assert replace(result, reader="urdf").handover.added == ()
     result.save(tmp_path, report=False)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "identified.xml"))
     assert model.njnt == 3
