@@ -128,7 +128,7 @@ def unexplained(
     """
     both = identified.beside(model.described_parameters)
     groups = (list(batches), [] if recorded is None else [recorded])
-    residuals = [_residual_rms(model, samples, both) for samples in groups if samples]
+    residuals = [residual_rms_in_motion(model, samples, both) for samples in groups if samples]
     if not residuals:
         return []
     variation = np.max([variation for _, variation in residuals], axis=0)
@@ -166,13 +166,13 @@ def _named(model: MeasurementModel, places: Sequence[int]) -> list[tuple[str, st
     return [(model.channels[place].name, model.channels[place].unit) for place in places]
 
 
-def _residual_rms(
-    model: MeasurementModel, batches: Sequence[Samples], both: Predictor
+def residual_rms_in_motion(
+    model: MeasurementModel, batches: Sequence[Samples], several: Predictor
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual RMS ``(C, 2)`` of two models on the efforts of joints that move, and the standard
-    deviations of these efforts ``(C,)``."""
+    """Residual RMS ``(C, K)`` of K models on the efforts of joints while they move, as dry friction at rest has any
+    value within its limits, and the standard deviations of these efforts ``(C,)``."""
     samples = Samples.concatenate(list(batches))
-    measured, predicted = model.predict(samples, *both)
+    measured, predicted = model.predict(samples, *several)
     residuals = (measured[:, :, None] - predicted)[:, model.layout.efforts]
     residuals = np.where(moving(samples.velocity)[:, :, None], residuals, np.nan)
     return rms(residuals), deviations(np.where(np.isfinite(residuals[:, :, 0]), samples.effort, np.nan))

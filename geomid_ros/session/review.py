@@ -9,11 +9,13 @@ from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+import numpy as np
+
 from geomid_ros.checks.causes import Cause, RecordingFault, as_faults
 from geomid_ros.checks.definite_faults import encoder_zeros
 from geomid_ros.checks.moving_base import displaced_imu, feet_of_fixed, never_lifted, turned_imu
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck, RunCheck, no_external_forces
-from geomid_ros.checks.unexplained import unexplained, unexplained_base
+from geomid_ros.checks.unexplained import residual_rms_in_motion, unexplained, unexplained_base
 from geomid_ros.checks.verdict import (
     HEAVIER,
     Verdict,
@@ -299,7 +301,7 @@ class Review:
             remarks += turned_imu(self._model, estimate)
             findings = findings or as_faults(displaced_imu(self._model, samples, estimate.parameters))
         findings = findings or as_faults(unexplained_base(self._model, samples, estimate.parameters))
-        if held_out is not None and (poor := poorly_predicted(estimate, held_out)):
+        if held_out is not None and (poor := poorly_predicted(estimate, self._in_motion(estimate, samples, held_out))):
             changes = self._changes()
             remarks += [*poor, *(() if findings else (change.sentence for change in changes))]
             findings = findings and (changes or findings)
@@ -316,6 +318,14 @@ class Review:
             effort_faults=remarks,
             implausible_links=impossible,
         )
+
+    def _in_motion(self, estimate: Estimate, samples: Sequence[Samples], held_out: FloatArray) -> FloatArray:
+        """``held_out`` residual RMS ``(channels,)``; of joints' efforts while they move, if there are ``samples``."""
+        joints = len(self._model.layout.efforts)
+        if not samples or not joints:
+            return held_out
+        moving, _ = residual_rms_in_motion(self._model, samples, estimate.predictor.beside(estimate.parameters))
+        return np.concatenate([moving[:, 0], held_out[joints:]])
 
     def _changes(self) -> tuple[RecordingFault, ...]:
         """Changes between sound recordings: those that were fitted, and others that were only evaluated on."""

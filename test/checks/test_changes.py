@@ -13,6 +13,7 @@ from scipy.signal import filtfilt, firwin
 
 from checks import test_efforts
 from checks.test_efforts import checked
+from geomid_ros.checks.candidates import MASS_FACTOR
 from geomid_ros.checks.causes import Cause, RecordingFault
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
 from geomid_ros.model.samples import Samples
@@ -140,6 +141,18 @@ def test_what_is_on_a_robot_in_another_recording_only_is_the_reason_of_the_verdi
     judged = session.review.verdict(estimate, [recorded[1]], held_out)
     assert "carries about 2 kg more from about 0 s of 'carrying' on" in " ".join((*judged.reasons, *judged.warnings))
     assert not any("sign" in reason for reason in judged.reasons)
+
+
+@pytest.mark.parametrize("robot", ROBOTS[:1], indirect=["robot"], ids=str)
+def test_friction_that_holds_joints_at_rest_is_not_predicted_far_worse(robot: Case) -> None:
+    session = Session(robot.model.robot.urdf, Configuration({}), "arm3")
+    session.identifier.add(robot.samples)
+    estimate = session.identifier.solve()
+    rests = np.abs(robot.samples.velocity) < 0.04 * np.max(np.abs(robot.samples.velocity), axis=0)
+    holding = replace(robot.samples, effort=robot.samples.effort + np.where(rests, 2.0, 0.0))
+    held_out = session.rms([holding], *estimate.predictor)
+    assert np.min(held_out / estimate.rms) > MASS_FACTOR
+    assert "far worse" not in " ".join(session.review.verdict(estimate, [holding], held_out).warnings)
 
 
 @pytest.mark.parametrize("robot", ROBOTS[1:], indirect=["robot"], ids=str)
