@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from geomid_ros.simulation.description import WRIST_FRAME, robot_description
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import simulate
-from geomid_ros.simulation.description import WRIST_FRAME, robot_description
 
 RECIPES = {
     "arm7": SimulationOptions(robot="arm7", seed=1, duration=12.0, rate=100.0, wrench_frame=WRIST_FRAME),

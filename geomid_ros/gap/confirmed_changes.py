@@ -18,6 +18,7 @@ from geomid_ros.gap.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.records import Records, TotalModel
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.gap.verdict import moment_without_mass, probability_by_size, widened_by_remainder, with_given_stds
+from geomid_ros.geometry import spd
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, scattered
@@ -161,9 +162,14 @@ class _Refit:
 
 
 def _as_uncertain(joint_fit: EffectsFit, free: EffectsFit) -> EffectsFit:
-    """Enlarge a fit's standard deviations to those of one whose links are as uncertain as in other recordings."""
-    factors = np.sqrt(np.maximum(np.diag(free.inverse) / np.diag(joint_fit.inverse), 1.0))
-    return replace(joint_fit, packed=Packed.of(joint_fit.information / np.outer(factors, factors)))
+    """Give a fit the covariance of the parameters of one whose links are as uncertain as in other recordings. Sums that
+    are known stay known: a payload's first moment without its mass. No standard deviation becomes smaller."""
+    (from_blocks, from_diagonal), (blocks, diagonal) = (f.manifold.jacobian(f.point) for f in (free, joint_fit))
+    change = np.linalg.solve(from_blocks, blocks), diagonal / from_diagonal
+    half = free.manifold.by_blocks(free.information, *change)
+    information = free.manifold.by_blocks(half.T, *change)
+    factors = np.sqrt(np.maximum(np.diag(joint_fit.inverse) / np.diag(spd.inverse(information)), 1.0))
+    return replace(joint_fit, packed=Packed.of(information / np.outer(factors, factors)))
 
 
 def _evidence(joint_fit: EffectsFit, candidate: Candidate) -> float:

@@ -16,8 +16,10 @@ from geomid_ros.gap.candidates import Candidate, EffectsFit
 from geomid_ros.gap.records import Records
 from geomid_ros.gap.result import Finding, GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
+from geomid_ros.inference.fit import JointFit
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, Quantity
 from geomid_ros.model.effects.drive import Spring
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
@@ -134,6 +136,28 @@ def test_a_payload_whose_written_mass_may_be_nothing_is_judged_by_its_moment(
     assert (said.confidence == "confident") == is_sure
     assert said.moment == (moment if is_sure else {})
     assert said.parameters["mass"].value == 0.31
+
+
+def test_a_moment_that_is_known_without_its_mass_stays_known() -> None:
+    """Whatever the size of the payload in the fit that takes over what another one knows; nor is it known better."""
+    covariance = 1e-8 * np.eye(10) + np.diag([0.2, *np.zeros(9)])
+
+    def fitted(mass: float, height: float, information: float) -> EffectsFit:
+        body = np.array([mass, 0.01, 0.02, mass * height, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1])
+        point = ONE_BODY.point(body)
+        jacobian = ONE_BODY.jacobian(point)[0][0]
+        packed = Packed.of(information * jacobian.T @ np.linalg.inv(covariance) @ jacobian)
+        return JointFit(
+            terms=(), point=point, manifold=ONE_BODY, score=0.0, squares=np.ones(1), packed=packed,
+            weights=np.zeros(10), prior_stds=np.ones(1), inflation=1.0, separate_prior_stds=np.zeros(0),
+            identified=True,
+        )  # fmt: skip
+
+    free = fitted(0.56, -0.03, 1.0)
+    taken = written_module._as_uncertain(fitted(0.41, 0.09, 100.0), free)
+    np.testing.assert_allclose(taken.covariance, covariance, rtol=1e-4, atol=1e-12)
+    own = fitted(0.41, 0.09, 0.25)
+    assert np.all(np.diag(written_module._as_uncertain(own, free).inverse) > 0.999 * np.diag(own.inverse))
 
 
 def test_a_changed_link_is_said_as_it_is_written() -> None:
