@@ -165,7 +165,7 @@ def _as_uncertain(joint_fit: EffectsFit, free: EffectsFit) -> EffectsFit:
     """Give a fit the covariance of the parameters of one whose links are as uncertain as in other recordings. Sums that
     are known stay known: a payload's first moment without its mass. No standard deviation becomes smaller."""
     (from_blocks, from_diagonal), (blocks, diagonal) = (f.manifold.jacobian(f.point) for f in (free, joint_fit))
-    change = np.linalg.solve(from_blocks, blocks), diagonal / from_diagonal
+    change = np.asarray(np.linalg.solve(from_blocks, blocks), dtype=np.float64), diagonal / from_diagonal
     half = free.manifold.by_blocks(free.information, *change)
     information = free.manifold.by_blocks(half.T, *change)
     factors = np.sqrt(np.maximum(np.diag(joint_fit.inverse) / np.diag(spd.inverse(information)), 1.0))

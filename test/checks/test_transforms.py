@@ -76,8 +76,9 @@ def test_the_unit_of_a_joint_that_no_link_loads_is_open() -> None:
         + "</robot>"
     )
     moved = motion(np.random.default_rng(1), 2, 10.0)
-    still = Motion(*([0.0, 1.0] * values for values in (moved.position, moved.velocity, moved.acceleration)))
-    measured = [0.0, 2.0] * still.acceleration + 0.1 * np.random.default_rng(2).normal(size=still.position.shape)
+    moves = np.array([0.0, 1.0])
+    still = Motion(moves * moved.position, moves * moved.velocity, moves * moved.acceleration)
+    measured = 2.0 * still.acceleration + 0.1 * np.random.default_rng(2).normal(size=still.position.shape)
     assert findings(MeasurementModel(robot, ()), samples(still, measured)) == ()
 
 
