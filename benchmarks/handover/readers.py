@@ -73,7 +73,8 @@ def mujoco(text: str, joints: Sequence[str], gravity: FloatArray) -> Predict:
             count=1,
         )
     model = mj.MjModel.from_xml_string(text)
-    model.opt.gravity = gravity
+    if "<robot" in text:  # a URDF says nothing of gravity
+        model.opt.gravity = gravity
     model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_CONTACT | mj.mjtDisableBit.mjDSBL_LIMIT
     model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_FRICTIONLOSS
     data = mj.MjData(model)

@@ -25,6 +25,7 @@ from geomid_ros.exports.payload import Payload, identify_payload_at
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effects_file import write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
+from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.posterior import POSTERIOR, posterior_path, read_posterior, write_posterior
 from geomid_ros.files.models.readers import READERS, URDF, with_same_files
 from geomid_ros.gap.features import KnownRemainder
@@ -353,16 +354,22 @@ def identify(options: IdentifyOptions) -> Identification:
     only_effects = options.effects is not None and options.candidates is None
     parameters = configuration(options, options.model, **({"candidates": []} if only_effects else {}))
     robot = description(options, recorded.fitted, options.model)
-    make = partial(Session, readers=READERS)
+    loads: LoadedModel | None = None
     for rounds_left in range(ROUNDS, -1, -1):
+        make = partial(Session, readers=READERS, loads=loads)
         session, judged = robot.read(make, parameters, lambda session: _read(session, recorded, options.progress))
         session.review.check_description()
         options.progress("solving", 0.0)
         estimate = session.identifier.solve()
         delay = _command_delay(estimate)
-        if delay is None or not rounds_left:
+        tilted = loads is None and any(effect_class(effect.name).turns_gravity for effect in estimate.effects)
+        if not rounds_left or (delay is None and not tilted):
             break
-        parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
+        if delay is not None:
+            parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
+        if tilted:  # once: the columns of a tilt are the weight of the bodies that were known beforehand
+            bodies = estimate.parameters[: len(session.model.nominal_inertias)].reshape(-1, 10)
+            loads = LoadedModel(inertias=dict(zip(session.model.body_names, bodies, strict=True)))
     if parameters[DELAY]:
         session.review.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
     return Identification(

@@ -29,7 +29,7 @@ from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
-from geomid_ros.model.coefficients import Mechanism
+from geomid_ros.model.coefficients import Coefficient, Mechanism
 from geomid_ros.model.effects import Effect, Place
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
@@ -277,7 +277,7 @@ def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, f
     the sizes of the effects that they need."""
     problem = solved.minimum.fitted.problem
     coefficients = problem.model.coefficients
-    sizes = [abs(effect.value) / max(effect.std, np.finfo(float).tiny) for effect in solved.minimum.effects]
+    sizes = [_size(c, effect) for c, effect in zip(coefficients, solved.minimum.effects, strict=True)]
     by_effect: dict[tuple[Place, Effect], float] = {
         (c.place, c.effect): size for c, size in zip(coefficients, sizes, strict=True)
     }
@@ -289,6 +289,14 @@ def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, f
     ]
     columns = solved.columns[problem.manifold.inertial.stop :]
     return {column: size for column, size in zip(columns.tolist(), least, strict=True) if size < STDS_OF_95}
+
+
+def _size(coefficient: Coefficient, effect: EffectEstimate) -> float:
+    """Size of a coefficient in standard deviations of its posterior, given its own std. It is expected to be zero, with
+    the effect's default prior std if it has one: what the data know worse than that is no evidence."""
+    expected = coefficient.effect.default_prior_std or (np.inf,) * (coefficient.index + 1)
+    std = max(effect.std, np.finfo(float).tiny)
+    return float(abs(effect.value) / (std * np.hypot(1.0, std / expected[coefficient.index])))
 
 
 def filtered_fraction(

@@ -61,7 +61,8 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
 
 def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> FloatArray:
     """Scale of each coefficient: the value at which its effect is as large as the channel it adds to. Of several
-    channels, the one in which it is most visible counts. If no motion shows it, it may be as large as the channel."""
+    channels, the one in which it is most visible counts. If no motion shows it, it may be as large as the channel. If
+    the effect's default prior std does not depend on the robot, the scale is that at which it is the usual one."""
     scales, unseen = np.full((2, model.dimension), np.inf)
     sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
     counts = np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
@@ -72,7 +73,10 @@ def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> Floa
         in_channel = sizes[index] / np.where(large, columns, 1.0)
         scales[channel.columns] = np.minimum(scales[channel.columns], np.where(large, in_channel, np.inf))
         unseen[channel.columns] = np.minimum(unseen[channel.columns], sizes[index] / _LEAST_MOTION)
-    return np.where(np.isfinite(scales), scales, unseen)[len(model.nominal_inertias) :]
+    usual = [(c.effect.default_prior_std, c.index) for c in model.coefficients]
+    own = np.array([stds[index] if stds else np.nan for stds, index in usual], dtype=np.float64)
+    seen = np.where(np.isfinite(scales), scales, unseen)[len(model.nominal_inertias) :]
+    return np.where(np.isfinite(own), own / DEFAULT_PRIOR_STD, seen)
 
 
 def default_prior_stds(manifold: ParameterManifold) -> FloatArray:
@@ -91,10 +95,11 @@ def prior_stds_of(model: MeasurementModel, manifold: ParameterManifold, given: F
 
 
 def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> FloatArray:
-    """Expected size of each coefficient about zero ``(coefficients,)``, as a fraction of what its channel measures. NaN
+    """Expected size of each coefficient about zero ``(coefficients,)``, in units of its scale. NaN
     where more is known: a ``given`` prior ``(D,)``, or a first fit, as for an effect that is part of another one."""
     parts = {(c.place, part) for c in model.coefficients for part in c.effect.parts if part != c.effect}
-    expected = [None if (c.place, c.effect) in parts else c.effect.prior_std_fraction for c in model.coefficients]
+    own = [DEFAULT_PRIOR_STD if c.effect.default_prior_std else c.effect.prior_std_fraction for c in model.coefficients]
+    expected = [None if (c.place, c.effect) in parts else size for c, size in zip(model.coefficients, own, strict=True)]
     unknown = True if given is None else ~np.isfinite(given[len(model.nominal_inertias) :])
     return np.where(unknown, np.array(expected, dtype=np.float64), np.nan)
 

@@ -38,20 +38,29 @@ Attributes: TypeAlias = dict[tuple[str, str], float]
 
 @dataclass(frozen=True, eq=False)
 class ReadBack:
-    """Values that a ``reader`` takes from a description: ``inertias (10,)`` by body, and ``attributes`` of joints."""
+    """Values that a ``reader`` takes from a description: ``inertias (10,)`` by body, and ``attributes`` of joints; and
+    ``gravity (3,)`` in the base frame, if it states one [m/s^2]."""
 
     reader: str
     inertias: Mapping[str, FloatArray]
     attributes: Attributes
+    gravity: FloatArray | None = None
 
     def parameters(self, model: MeasurementModel) -> FloatArray:
         """Parameters ``(D,)`` of ``model`` with these inertias and no effects."""
         bodies = [self.inertias[name] for name in model.body_names]
         return np.concatenate([*bodies, np.zeros(len(model.coefficients))])
 
-    def efforts(self, joints: Sequence[str], samples: Samples) -> FloatArray:
-        """Joint efforts due to the attributes ``(N, joints)``."""
-        return samples.efforts_of(self._terms(joints))
+    def efforts(self, robot: Robot, samples: Samples) -> FloatArray:
+        """Joint efforts ``(N, joints)`` due to the attributes, and to another gravity than the ``robot``'s."""
+        efforts = samples.efforts_of(self._terms(robot.joint_names))
+        if self.gravity is None or robot.floating_base:
+            return efforts
+        bodies = np.array([self.inertias[name] for name in robot.body_names])
+        model = robot.with_inertias(bodies, range(len(bodies)))
+        change = (self.gravity - robot.gravity)[:, None]
+        by_gravity = robot.efforts_by_gravity(model, model.createData(), robot.configuration(samples)[0], change)
+        return efforts + by_gravity[:, :, 0]
 
     def _terms(self, joints: Sequence[str]) -> Iterator[tuple[MotionEffect, Place, float]]:
         """Yield the effects that the attributes stand for, with their places and coefficients."""
@@ -138,7 +147,7 @@ def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
         for key in ("damping", "frictionloss", "armature"):
             place = pair, f"tendon/{key}"
             attributes[place] = attributes.get(place, 0.0) + float(np.ravel(getattr(model, f"tendon_{key}")[index])[0])
-    return ReadBack("mujoco", inertias, attributes)
+    return ReadBack("mujoco", inertias, attributes, np.array(model.opt.gravity))
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,7 +401,7 @@ def evaluate_description(
     parameters = np.column_stack([read.parameters(model) + offsets for read, offsets in kinds])
 
     def added(samples: Samples) -> FloatArray:
-        return np.stack([read.efforts(model.robot.joint_names, samples) for read, _ in kinds], axis=2)
+        return np.stack([read.efforts(model.robot, samples) for read, _ in kinds], axis=2)
 
     channels = [channel.name for channel in model.channels]
     rms = session.rms(batches, parameters, added=added).T.tolist()

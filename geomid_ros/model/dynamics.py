@@ -69,11 +69,8 @@ class Dynamics:
         terms[2] = np.triu(terms[2]) + np.triu(terms[2], 1).transpose(0, 2, 1)
         for term in terms:
             yield self._coupling.T @ term @ self._coupling
-        static = np.empty((3, len(motion), size))
-        for gravity, _ in enumerate(_unit_gravities(self._whole)):
-            for index, (q, _, _) in enumerate(motion):
-                static[gravity, index] = pin.computeGeneralizedGravity(self._whole, self._data, q)
-        yield self._coupling.T @ static.transpose(1, 2, 0)
+        static = self._whole.copy(), self._data, np.array([q for q, _, _ in motion])
+        yield self._robot.efforts_by_gravity(*static, np.eye(3))
 
     def _wrench_terms(
         self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
@@ -143,11 +140,12 @@ class InverseDynamics:
         self.inertias = frozen(inertias)
         """Parameters of all bodies ``(bodies, 10)``."""
         nonzero = [(c, v) for c, v in zip(model.coefficients, parameters[first:].tolist(), strict=True) if v != 0.0]
+        robot = model.robot.with_gravity(model.gravity_at(parameters))
         motion_effects = [(c.effect, c.place, value) for c, value in nonzero if isinstance(c.effect, MotionEffect)]
-        self._robot = model.robot
+        self._robot = robot
         gains = model.drive_gains[list(model.layout.efforts)]
-        self._whole = _Motors(model.robot, inertias, motion_effects, gains)
-        self._gears = _Motors(model.robot, model.gear_inertias, model.gear_effects)
+        self._whole = _Motors(robot, inertias, motion_effects, gains)
+        self._gears = _Motors(robot, model.gear_inertias, model.gear_effects)
         self._by_load: dict[LoadEffect, FloatArray] = {}
         for c, value in nonzero:
             if isinstance(c.effect, LoadEffect):

@@ -10,16 +10,27 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from geomid_ros.errors import InputError, check_name
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.channels import AXES, BASE, WORLD_FRAMES, Channel, ChannelLayout, WrenchSensor
 from geomid_ros.model.coefficients import Coefficient, EffectPlaces, Mechanism
-from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, SensorEffect, joint_of
+from geomid_ros.model.effects import (
+    AtSensor,
+    GravityEffect,
+    IdentifiedEffect,
+    LoadEffect,
+    MotionEffect,
+    Place,
+    SensorEffect,
+    joint_of,
+)
 from geomid_ros.model.moving_base import Contact, Legs
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import (
@@ -215,7 +226,7 @@ class MeasurementModel:
         self.dimension = first + len(self.coefficients)
         """Number of parameters D."""
         self._numbered = list(enumerate(self.coefficients, first))
-        self._reach = {place: self._reached(place) for place in {c.place for c in self.coefficients}}
+        self._reach = {c.mechanism: self._reached(c.effect, c.place) for c in self.coefficients}
         self.channels = tuple(self._channels())
         """Channels in the order of :attr:`layout`."""
 
@@ -266,14 +277,17 @@ class MeasurementModel:
         """Return the manifold of the parameters, with ``scales`` of the real coefficients."""
         return ParameterManifold(len(self.identified), self.positives, scales)
 
-    def _reached(self, place: Place) -> tuple[int, ...]:
+    def _reached(self, effect: IdentifiedEffect, place: Place) -> tuple[int, ...]:
         """Return the channels that an effect at a place affects."""
-        return place.channels if isinstance(place, AtSensor) else affected_joints(place, len(self.layout.efforts))
+        if isinstance(place, AtSensor):
+            return place.channels
+        sensed = chain.from_iterable(self.layout.wrenches.values()) if effect.turns_gravity else ()
+        return *affected_joints(place, len(self.layout.efforts)), *sensed
 
     def _columns(self, channel: int, bodies: Sequence[int]) -> IntArray:
         """Return the parameters that a channel depends on: those of ``bodies`` and of the effects that reach it."""
         columns = [10 * index + k for index, body in enumerate(self.identified) if body in bodies for k in range(10)]
-        columns += [parameter for parameter, c in self._numbered if channel in self._reach[c.place]]
+        columns += [parameter for parameter, c in self._numbered if channel in self._reach[c.mechanism]]
         return np.array(columns, dtype=np.int64)
 
     def _channels(self) -> Iterator[Channel]:
@@ -359,6 +373,9 @@ class MeasurementModel:
             loads, signs = self._loads(samples, bodies), samples.column(SIGN)
             for parameter, effect, joint in self._of_loads:
                 coefficients[:, joint, parameter] = effect.column(loads[:, joint], signs[:, joint])
+        for of_gravity, places, numbers in self._of_gravity:
+            directions = of_gravity.slopes(self.robot.gravity, np.zeros(of_gravity.count))[:, numbers]
+            coefficients[:, :, places] = self._by_gravity(samples, directions)
         for of_sensor, axes, channels, (parameters, indices) in self._of_sensors:
             coefficients[:, channels, parameters] = of_sensor.columns(samples.motion, axes)[:, :, indices]
         return coefficients, targets
@@ -388,7 +405,7 @@ class MeasurementModel:
             (joint, parameter, entries.at(column_of(c.effect, c.place), joint))
             for parameter, c in self._numbered
             if isinstance(c.effect, MotionEffect)
-            for joint in self._reached(c.place)
+            for joint in self._reached(c.effect, c.place)
         ]
         channels, parameters, entry_indices = np.array(indices, dtype=np.int64).reshape(-1, 3).T
         return entries, channels, parameters, entry_indices
@@ -397,6 +414,45 @@ class MeasurementModel:
     def _of_loads(self) -> list[tuple[int, LoadEffect, int]]:
         """Parameter, effect and joint of each coefficient of load-dependent friction."""
         return [(p, c.effect, joint_of(c.place)) for p, c in self._numbered if isinstance(c.effect, LoadEffect)]
+
+    def _by_gravity(self, samples: Samples, directions: FloatArray) -> FloatArray:
+        """Compute the change of all channels ``(N, channels, k)`` per unit of gravity in ``directions (3, k)``, by the
+        weight of the known bodies."""
+        columns = np.zeros((len(samples), len(self.channels), directions.shape[1]))
+        q, v, _ = self.robot.configuration(samples)
+        columns[:, self.layout.efforts] = self.robot.efforts_by_gravity(*self._weighed, q, directions)
+        for direction, column in zip(directions.T if self._loaded else (), np.moveaxis(columns, 2, 0), strict=False):
+            robot = self.robot.with_gravity(direction)
+            for configuration, channels in zip(q, column, strict=True):
+                robot.update_motion(configuration, 0.0 * v[0], 0.0 * v[0])
+                for sensor, loaded in self._loaded:
+                    rows = robot.wrench_rows(loaded, sensor.frame)[sensor.axis_indices]
+                    channels[self.layout.wrenches[sensor.topic]] = np.sum(rows * self.gear_inertias, axis=(1, 2))
+        return columns * self.drive_gains[:, None]
+
+    def gravity_at(self, parameters: FloatArray) -> FloatArray:
+        """Gravity ``(3,)`` in the base frame [m/s^2] at parameters ``(D,)``."""
+        gravity = self.robot.gravity
+        for effect, places, indices in self._of_gravity:
+            coefficients = np.zeros(effect.count)
+            coefficients[indices] = parameters[places]
+            gravity = effect.tilted_gravity(gravity, effect.values(coefficients))
+        return gravity
+
+    @cached_property
+    def _weighed(self) -> tuple[pin.Model, pin.Data]:
+        """Model and data of the robot with the known bodies."""
+        model = self.robot.with_inertias(self.gear_inertias, range(len(self.gear_inertias)))
+        return model, model.createData()
+
+    @cached_property
+    def _of_gravity(self) -> list[tuple[GravityEffect, IntArray, IntArray]]:
+        """Each effect on gravity, with the parameters and the indices of its coefficients ``(k,)``."""
+        numbers: dict[GravityEffect, list[tuple[int, int]]] = {}
+        for parameter, c in self._numbered:
+            if isinstance(c.effect, GravityEffect):
+                numbers.setdefault(c.effect, []).append((parameter, c.index))
+        return [(effect, *np.array(pairs).T) for effect, pairs in numbers.items()]
 
     @cached_property
     def _of_sensors(self) -> list[tuple[SensorEffect, list[str], IntArray, IntArray]]:
@@ -407,13 +463,13 @@ class MeasurementModel:
             if isinstance(c.effect, SensorEffect):
                 numbers.setdefault((c.effect, c.place), []).append((parameter, c.index))
         return [
-            (effect, self._axes(place), np.array(self._reached(place))[:, None], np.array(pairs).T)
+            (effect, self._axes(place), np.array(self._reached(effect, place))[:, None], np.array(pairs).T)
             for (effect, place), pairs in numbers.items()
         ]
 
     def _axes(self, place: Place) -> list[str]:
         """Return the axes of a place at a sensor."""
-        return [self.channels[channel].axis for channel in self._reached(place)]
+        return [self.channels[channel].axis for channel in place.channels] if isinstance(place, AtSensor) else []
 
     @cached_property
     def _of_resistance(self) -> tuple[Entries, FloatArray]:
@@ -424,7 +480,7 @@ class MeasurementModel:
         self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int
     ) -> dict[int, FloatArray]:
         """Return the column ``(N,)`` of an effect's coefficient ``index`` in each channel that it reaches."""
-        channels = self._reached(place)
+        channels = self._reached(effect, place)
         if isinstance(effect, MotionEffect):
             efforts = samples.column(column_of(effect, place))
             return {channel: efforts[:, channel] for channel in channels}

@@ -435,6 +435,16 @@ class Robot:
         efforts = [pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)]
         return np.array(efforts).reshape(len(q), model.nv) @ self.coupling
 
+    def efforts_by_gravity(self, model: pin.Model, data: pin.Data, q: FloatArray, directions: FloatArray) -> FloatArray:
+        """Compute the change of joint efforts ``(N, joints, k)`` per unit of gravity in ``directions (3, k)`` of the
+        base frame, with the inertias of a ``model`` from :meth:`with_inertias`; its own gravity is lost."""
+        static = np.empty((directions.shape[1], len(q), model.nv))
+        for efforts, direction in zip(static, directions.T, strict=True):
+            model.gravity.linear = direction
+            for row, configuration in zip(efforts, q, strict=True):
+                row[:] = pin.computeGeneralizedGravity(model, data, configuration)
+        return np.asarray(self.coupling.T @ static.transpose(1, 2, 0))
+
     @cached_property
     def coupling(self) -> FloatArray:
         """Derivative ``(nv, joints)`` of pinocchio's velocities by the joint velocities; mimic joints add entries."""

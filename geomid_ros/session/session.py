@@ -63,6 +63,7 @@ class Session:
         readers: Collection[str] = (),
         *,
         loaded: LoadedModel | None = None,
+        loads: LoadedModel | None = None,
     ) -> None:
         """Begin without rows.
 
@@ -73,6 +74,7 @@ class Session:
             ledger: counts what becomes of each message.
             readers: programs that will read the results, of :data:`~geomid_ros.files.models.readers.ELEMENTS`.
             loaded: the model to start from; that of the configuration unless given.
+            loads: the bodies that load the gears; those of the model to start from, or of the URDF, unless given.
 
         Raises:
             InputError: these do not fit together.
@@ -103,7 +105,7 @@ class Session:
             contacts=configuration.contacts,
             commanded=self.controller is not None,
         )
-        known = model.with_known_loads(self.loaded.parameters(model))
+        known = model.with_known_loads((loads or self.loaded).parameters(model))
         self.model = known.with_drive_gains(self.loaded.drive_gains(model.channels))
         self.received_joints: set[str] = set()
         """Names of joints in all messages so far."""

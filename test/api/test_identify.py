@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from commands.running import WRIST, done, identify, undrawn
 from files.recordings import BAGS
@@ -171,3 +172,22 @@ def test_what_cannot_be_used_is_refused(case: str) -> None:
     act, message = REFUSED[case]
     with pytest.raises(geomid_ros.InputError, match=message):
         act()
+
+
+def test_a_base_that_is_not_level_is_in_the_estimate_and_in_the_file() -> None:
+    """The weight that a tilt turns is that of the links that were found, not of the URDF's."""
+    tilt = np.array([0.02, -0.03])
+    gravity = tuple((pin.exp3(np.append(tilt, 0.0)) @ [0.0, 0.0, -9.81]).tolist())
+    found = geomid_ros.identify(BAG, URDF, gravity=gravity, reader="mujoco")
+    effects = {name: effect for effect in found.effects for name in effect.parameters if effect.name == "gravity_tilt"}
+    for name, true in zip(("tilt_x", "tilt_y"), tilt, strict=True):
+        assert abs(effects[name].value - true) < 3.0 * effects[name].std < 0.03
+    assert sum(found.handover.corrected.values()) < 1.2 * sum(found.rms.values())
+    model, parameters = found.session.model, found.estimate.parameters
+    level = np.where([False] * 30 + [c.effect.name == "gravity_tilt" for c in model.coefficients], 0.0, parameters)
+    turned = model.with_gravity(model.gravity_at(parameters))
+    for samples in found.judged:
+        exact, linear, without = (
+            m.predict(samples, p)[1] for m, p in ((turned, level), (model, parameters), (model, level))
+        )
+        assert np.linalg.norm(linear - exact) < 0.03 * np.linalg.norm(exact - without)

@@ -326,7 +326,7 @@ def predicted_by(read: ReadBack, samples: Samples) -> FloatArray:
     """The joints' efforts ``(N, joints)`` by a description."""
     model = found().session.model
     _, predicted = model.predict(samples, read.parameters(model))
-    return predicted[:, model.layout.efforts] + read.efforts(model.robot.joint_names, samples)
+    return predicted[:, model.layout.efforts] + read.efforts(model.robot, samples)
 
 
 @pytest.mark.parametrize("ratio", [1.0, -1.0])

@@ -17,6 +17,7 @@ from geomid_ros.model.effects import (
     EFFECTS,
     AtJoint,
     Effect,
+    GravityEffect,
     IdentifiedEffect,
     JointEffect,
     JointMotion,
@@ -78,9 +79,8 @@ def test_what_can_be_identified_is_linear_in_coefficients_of_its_own() -> None:
         assert set(effect.column_parameters) <= set(effect.parameters)
         assert len(effect.column_parameters) == effect.count
         assert 0 <= effect.column_positives <= effect.count
-        if not isinstance(effect, SensorEffect):
-            (form,) = effect.column_parameters
-            assert form.above != 0.0 or effect.column_positives == 1
+        assert len(effect.column_parameters) == 1 or isinstance(effect, SensorEffect | GravityEffect)
+        assert effect.column_parameters[0].above != 0.0 or effect.column_positives == 1
 
 
 @pytest.mark.parametrize("effect", identifiable().values(), ids=identifiable())

@@ -12,6 +12,7 @@ import numpy as np
 from geomid_ros.errors import check_name, unknown_name
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects.effect import Effect as Effect
+from geomid_ros.model.effects.effect import GravityEffect as GravityEffect
 from geomid_ros.model.effects.effect import Hinge as Hinge
 from geomid_ros.model.effects.effect import IdentifiedEffect as IdentifiedEffect
 from geomid_ros.model.effects.effect import JointEffect as JointEffect
@@ -60,6 +61,7 @@ DEFAULT_CANDIDATES = (
     "coupled_viscous_friction",
     "coupled_coulomb_friction",
     "coupled_rotor_inertia",
+    "gravity_tilt",
 )
 """Names of the effects identified by default where the data support them."""
 

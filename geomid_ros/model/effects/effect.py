@@ -449,5 +449,22 @@ class LoadEffect(SituationEffect):
         return situation.column_of(joint, self.column(situation.transmitted[:, joint], situation.sign[:, joint]))
 
 
-IdentifiedEffect: TypeAlias = MotionEffect | SensorEffect | LoadEffect
+class GravityEffect(SituationEffect):
+    """A change of gravity in the base frame.
+
+    It can be identified with the inertias. Its columns then use the bodies known beforehand, as those of
+    :class:`LoadEffect` do.
+    """
+
+    @abstractmethod
+    def slopes(self, gravity: FloatArray, coefficients: FloatArray) -> FloatArray:
+        """Return the derivative ``(3, k)`` of gravity in the base frame by the ``coefficients (k,)``, from ``gravity
+        (3,)`` in the frame of a level base."""
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        coefficients = situation.coefficients.get((self.name, place), np.zeros(self.count))
+        return np.asarray(situation.by_gravity @ self.slopes(situation.gravity, coefficients))
+
+
+IdentifiedEffect: TypeAlias = MotionEffect | SensorEffect | LoadEffect | GravityEffect
 """Effects that a measurement model may contain: linear in coefficients, with columns independent of the estimate."""

@@ -8,23 +8,23 @@ import numpy as np
 import pinocchio as pin
 
 from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
-from geomid_ros.model.effects.effect import Effect, SituationEffect
+from geomid_ros.model.effects.effect import Effect, GravityEffect
 from geomid_ros.model.effects.parameters import COM_ENTRIES, ParameterForm, Values
-from geomid_ros.model.effects.situation import Place, Situation
 from geomid_ros.types import FloatArray
 
 _NAMES = ("tilt_x", "tilt_y")
 _TILT_STEP = 1e-6  # [rad]
 
 
-class GravityTilt(SituationEffect):
+class GravityTilt(GravityEffect):
     """The base is turned by the rotation vector (c_x, c_y, 0) [rad]: gravity in the base frame is ``R^T g``."""
 
     name = "gravity_tilt"
     label = "a tilted base"
     meaning = "gravity in the base frame is R^T g, R the rotation by the vector (tilt_x, tilt_y, 0)"
     parameters = tuple(
-        ParameterForm(name, ("rad", "rad"), above=-math.pi, below=math.pi, mjcf="option/gravity") for name in _NAMES
+        ParameterForm(name, ("rad", "rad"), above=-math.pi, below=math.pi, optional=True, mjcf="option/gravity")
+        for name in _NAMES
     )
     settled_by = "slow motion of the first joint over its range, with the arm stretched out"
     place = "robot"
@@ -34,13 +34,12 @@ class GravityTilt(SituationEffect):
     relinearise_beyond = (0.03, 0.03)
     turns_gravity = True
     compensated_in_samples = True
-    default_prior_std = (0.1, 0.1)  # [rad]
+    corrected_in_samples = True
+    default_prior_std = (0.02, 0.02)  # [rad] about a degree
 
-    def columns(self, situation: Situation, place: Place) -> FloatArray:
-        tilt = situation.coefficients.get((self.name, place), np.zeros(2))
-        ends = [[_turned(situation.gravity, tilt + sign * step) for sign in (1, -1)] for step in _TILT_STEP * np.eye(2)]
-        slopes = np.array([(ahead - behind) / (2.0 * _TILT_STEP) for ahead, behind in ends])
-        return np.asarray(situation.by_gravity @ slopes.T)
+    def slopes(self, gravity: FloatArray, coefficients: FloatArray) -> FloatArray:
+        ends = [[_turned(gravity, coefficients + sign * step) for sign in (1, -1)] for step in _TILT_STEP * np.eye(2)]
+        return np.array([(ahead - behind) / (2.0 * _TILT_STEP) for ahead, behind in ends]).T
 
     @classmethod
     def tilted_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:

@@ -1,0 +1,102 @@
+"""A base that is not level: columns of gravity's direction, and tilts that are found beside the links."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.model.channels import WrenchSensor
+from geomid_ros.model.dynamics import InverseDynamics
+from geomid_ros.model.effects import identifiable
+from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.types import FloatArray
+
+from .arms import Case, Motion, Truth, arm, efforts, identifier, shipped
+
+TILT = np.array([0.02, -0.03])
+DOWN = np.array([0.0, 0.0, -9.81])
+
+
+def gravity(tilt: FloatArray) -> FloatArray:
+    """In the frame of a base that is turned by a rotation vector."""
+    return pin.exp3(np.append(tilt, 0.0)).T @ DOWN
+
+
+def with_tilt(case: Case, tilt: FloatArray) -> Case:
+    """The same robot and motion on a tilted base, and a model that may have a tilt."""
+    moving = Motion(case.samples.position, case.samples.velocity, case.samples.acceleration)
+    more = efforts(case.model.robot, case.true, moving, gravity(tilt).tolist()) - case.noiseless
+    model = MeasurementModel(case.model.robot, case.effects, candidates=[identifiable()["gravity_tilt"]])
+    return Case(model, case.with_efforts(case.samples.effort + more).samples, case.noiseless, case.truth, case.true)
+
+
+def tilt_of(estimate: Estimate) -> FloatArray:
+    """Values and standard deviations ``(2, 2)``; zero where there is none."""
+    found = np.zeros((2, 2))
+    for effect in estimate.effects:
+        if effect.name == "gravity_tilt":
+            (name,) = effect.parameters
+            found[:, ("tilt_x", "tilt_y").index(name)] = effect.value, effect.std
+    return found
+
+
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_its_columns_are_the_change_of_inverse_dynamics(name: str) -> None:
+    """Beside the bodies that are known beforehand, with gains of the drives."""
+    case = with_tilt(arm(name, 0, seconds=0.5), np.zeros(2))
+    gains = np.linspace(0.9, 1.2, case.samples.effort.shape[1])
+    model = case.model.with_known_loads(
+        np.append(case.true.links.ravel(), np.full(len(case.model.coefficients), np.nan))
+    )
+    columns = model.with_drive_gains(gains).rows(case.samples).coefficients[:, :, -2:]
+    moving = Motion(case.samples.position, case.samples.velocity, case.samples.acceleration)
+    links = Truth(case.true.links, {})
+    for column, step in zip(np.moveaxis(columns, 2, 0), 1e-4 * np.eye(2), strict=True):
+        ahead, behind = (efforts(model.robot, links, moving, gravity(sign * step).tolist()) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(column, gains * (ahead - behind) / 2e-4, atol=1e-6)
+
+
+def test_a_wrench_sensor_feels_it_too() -> None:
+    """The column is the derivative of what the URDF's bodies do to a sensor in the wrist."""
+    sensor = WrenchSensor("/wrist", "wrist_ft", "mounted", ("fx", "tz", "fy"))
+    model = MeasurementModel(Robot(shipped("arm3"), cuts=["wrist_ft"]), [identifiable()["gravity_tilt"]], [sensor])
+    case = arm("arm3", 0, seconds=0.5)
+    measured = case.samples.select(slice(None))
+    measured = type(measured)(**{**measured.arrays, "wrenches": np.zeros((len(measured), 1, 6))})
+    columns = model.rows(measured).coefficients[:, :, -2:]
+    assert np.all(np.any(columns != 0.0, axis=0)[list(model.layout.wrenches["/wrist"])])
+    for column, step in zip(np.moveaxis(columns, 2, 0), 1e-4 * np.eye(2), strict=True):
+        ahead, behind = (
+            model.with_gravity(gravity(sign * step)).rows(measured).coefficients @ model.nominal_parameters
+            for sign in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(column, (ahead - behind) / 2e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_tilt_is_found_beside_wrong_links(seed: int) -> None:
+    """By its columns at the URDF's bodies to a tenth or so; at the bodies that were found, to its own deviation."""
+    case = with_tilt(arm("arm7", seed), TILT)
+    first = identifier(case).solve()
+    value, _ = tilt_of(first)
+    assert np.all(np.abs(value - TILT) < 0.15 * np.linalg.norm(TILT))
+    links = np.append(first.parameters[: case.true.links.size], np.full(len(case.model.coefficients), np.nan))
+    again = Case(case.model.with_known_loads(links), case.samples, case.noiseless, case.truth, case.true)
+    value, std = tilt_of(identifier(again).solve())
+    assert np.all(np.abs(value - TILT) < 4.0 * std)
+    assert np.all(std < 0.2 * np.linalg.norm(TILT))
+
+
+def test_of_a_level_base_there_is_none() -> None:
+    assert not np.any(tilt_of(identifier(with_tilt(arm("arm7", 2), np.zeros(2))).solve()))
+
+
+def test_a_message_is_predicted_under_tilted_gravity() -> None:
+    case = with_tilt(arm("arm7", 0, seconds=0.5), np.zeros(2))
+    parameters = np.append(case.truth, TILT)
+    states = np.array([case.samples.position, case.samples.velocity, case.samples.acceleration])
+    expected = efforts(case.model.robot, case.true, Motion(*states), gravity(TILT).tolist())
+    np.testing.assert_allclose(InverseDynamics(case.model, parameters)(states), expected, atol=1e-9)
