@@ -152,13 +152,16 @@ def estimate(
         choice = fits.choice(whole, None if warm is None else _kept_columns(model, warm))
         found = _significant(partial(fits.solved, alternative=choice), choice.columns, _optional(model))
     result = _estimate(found, whole)
-    errors_of_sensors = {c.mechanism for c in model.coefficients if c.effect.is_sensor_error}
-    unsure = np.array([*_insignificant(found, errors_of_sensors)], dtype=np.int64)
+    first = model.dimension - len(model.coefficients)
+    expected_zero = [c.effect.is_sensor_error or bool(c.effect.default_prior_std) for c in model.coefficients]
+    about_zero = {c.mechanism for c, is_expected in zip(model.coefficients, expected_zero, strict=True) if is_expected}
+    sure = np.setdiff1d(found.columns, [*_insignificant(found, about_zero)])
+    unsure = np.setdiff1d(first + np.flatnonzero(expected_zero), sure)
     own_fits = replace(fits, settings=replace(settings, objective="residual"))
 
     def of_file(held: IntArray, lacks_like_mass: bool) -> FloatArray:
         masses = _masses(result) if lacks_like_mass else None
-        own = _significant(partial(own_fits.solved, weights=found.weights, masses=masses), held, errors_of_sensors)
+        own = _significant(partial(own_fits.solved, weights=found.weights, masses=masses), held, about_zero)
         parameters = np.zeros(model.dimension)
         parameters[own.columns] = file_fit(own.minimum.fitted, found.minimum.fitted)
         return parameters
@@ -292,11 +295,10 @@ def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, f
 
 
 def _size(coefficient: Coefficient, effect: EffectEstimate) -> float:
-    """Size of a coefficient in standard deviations of its posterior, given its own std. It is expected to be zero, with
-    the effect's default prior std if it has one: what the data know worse than that is no evidence."""
-    expected = coefficient.effect.default_prior_std or (np.inf,) * (coefficient.index + 1)
-    std = max(effect.std, np.finfo(float).tiny)
-    return float(abs(effect.value) / (std * np.hypot(1.0, std / expected[coefficient.index])))
+    """Size of a coefficient in its standard deviations. If it is expected to be zero on any robot, with a default prior
+    std, it is the size of the posterior's mean: the noise is larger than the fit, which has this value, assumed."""
+    counts = effect.from_data if coefficient.effect.default_prior_std else 1.0
+    return counts * abs(effect.value) / max(effect.std, np.finfo(float).tiny)
 
 
 def filtered_fraction(

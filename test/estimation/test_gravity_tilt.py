@@ -6,10 +6,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate
+from geomid_ros.estimation.estimator import _size
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.dynamics import InverseDynamics
-from geomid_ros.model.effects import identifiable
+from geomid_ros.model.effects import Quantity, identifiable
+from geomid_ros.model.effects.mounting import GravityTilt
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
@@ -88,6 +90,20 @@ def test_a_tilt_is_found_beside_wrong_links(seed: int) -> None:
     value, std = tilt_of(identifier(again).solve())
     assert np.all(np.abs(value - TILT) < 4.0 * std)
     assert np.all(std < 0.2 * np.linalg.norm(TILT))
+
+
+@pytest.mark.parametrize(("value", "std"), [(0.02, 0.002), (-0.1, 0.036), (0.04, 0.02)])
+def test_its_size_is_that_of_the_posterior(value: float, std: float) -> None:
+    """A product of two normal densities: of what is expected, and of what the data say."""
+    coefficient, expected = with_tilt(arm("arm3", 0), TILT).model.coefficients[-2], GravityTilt.default_prior_std[0]
+    variance = 1.0 / (expected**-2 + std**-2)
+    found = EffectEstimate(
+        name=GravityTilt.name,
+        joint="",
+        parameters={"tilt_x": Quantity(value, np.sqrt(variance), "rad")},
+        from_data=1.0 - variance / expected**2,
+    )
+    assert _size(coefficient, found) == pytest.approx(abs(variance * value / std**2) / np.sqrt(variance))
 
 
 def test_of_a_level_base_there_is_none() -> None:
