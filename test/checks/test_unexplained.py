@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands.running import found_only
 
-from benchmarks.corruption.__main__ import identified, judged
+from benchmarks.corruption.__main__ import judged
 from benchmarks.corruption.faults import FAULTS
 from benchmarks.corruption.recording import SOURCES, Recording
 from checks.test_efforts import case, findings
-from geomid_ros import Identification
+from geomid_ros import Identification, identify
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.unexplained import MOST, badly_explained, hint, rms, unexplained
@@ -129,10 +130,18 @@ AFTER = [
 ]
 
 
+def identified(recording: Recording, bag: Path, **options: Any) -> Identification:
+    """What is identified from a bag, without what else is made of it."""
+    own = recording.source
+    with pytest.MonkeyPatch.context() as patch:
+        found_only(patch)
+        return identify(bag, recording.urdf, config=dict(own.settings), wrench=own.wrench or (), **options)
+
+
 @cache
 def whole() -> Identification:
     """What is identified from the large arm's shipped recording."""
-    return identified(Recording.read(SOURCES["arm7"]), SOURCES["arm7"].bag)
+    return identified(Recording.read(SOURCES["arm7"]), SOURCES["arm7"].bag, candidates=[])
 
 
 def planted(source: str, fault: str, size: Any, folder: Path) -> tuple[Recording, Path]:
@@ -168,7 +177,7 @@ def test_where_positions_leap_nothing_is_said_to_begin(fault: str, size: Any, tm
 
 def test_leaps_are_no_motion(tmp_path: Path) -> None:
     """They are told, and what was recorded between them is explained as well as ever."""
-    found = identified(*planted("arm7", "positions leap", 0.5, tmp_path))
+    found = identified(*planted("arm7", "positions leap", 0.5, tmp_path), candidates=[])
     assert len(found.verdict.reasons) == 1
     assert np.all(found.estimate.rms < 0.2 * whole().estimate.rms_nominal[: len(found.estimate.rms)])
 
