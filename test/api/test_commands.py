@@ -15,6 +15,8 @@ from signals.unitree import low_cmd, low_state, write_unitree_bag
 import geomid_ros
 from geomid_ros.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("found_only")
+
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 TOPIC, GAINS = "/desired", ("200:4", "joint2=300:5")
 KP, KD = np.array([200.0, 300.0, 200.0]), np.array([4.0, 5.0, 4.0])
@@ -75,7 +77,7 @@ def test_efforts_are_those_of_commands_and_their_delay_is_found(without_efforts:
 
 def test_wrong_gains_are_named_by_reported_efforts(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", commanded(0.5))
-    found = geomid_ros.identify(bag, URDF, command=TOPIC, gains=GAINS)
+    found = geomid_ros.identify(bag, URDF, command=TOPIC, gains=GAINS, candidates=())
     (reason,) = found.verdict.reasons
     assert "'joint1', given is 200:4" in reason
     right = geomid_ros.identify(write_bag(tmp_path / "right", commanded(1.0)), URDF, command=TOPIC, gains=GAINS)
@@ -105,11 +107,10 @@ def test_an_absent_topic_is_named(without_efforts: Path) -> None:
 @pytest.fixture(scope="module")
 def model(without_efforts: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("model")
-    geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=GAINS, candidates=()).save(folder)
+    geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=GAINS, candidates=()).save(folder, report=False)
     return folder / "estimate.json"
 
 
-@pytest.mark.usefixtures("found_only")
 def test_a_gap_is_judged_beside_the_delay_of_commands(without_efforts: Path, model: Path) -> None:
     """On the recording that a model is from nothing is found beside it, as far as it goes."""
     found = geomid_ros.find_gap(without_efforts, URDF, model=model, command=TOPIC, gains=GAINS)

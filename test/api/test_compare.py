@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from commands.running import done, refused, undrawn
+from commands.running import done, found_only, refused
 from files.recordings import BAGS, recorded, write_bag
 from report.pages import Page
 
@@ -41,7 +41,7 @@ def mass_of(urdf: Path, link: str) -> float:
 def identified(folder: Path, bag: Path) -> Path:
     """The estimate.json of a recording."""
     with pytest.MonkeyPatch.context() as patch:
-        undrawn(patch)
+        found_only(patch)
         geomid_ros.identify(bag, ARM7, candidates=[]).save(folder)
     return folder / "estimate.json"
 

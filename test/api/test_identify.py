@@ -32,7 +32,7 @@ def document(*arguments: Any, **options: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def plain() -> dict[str, Any]:
-    return document(BAG, URDF)
+    return document(BAG, URDF, candidates=[])
 
 
 def test_it_says_the_same_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,13 +53,13 @@ def test_it_says_the_same_as_the_command(tmp_path: Path, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("urdf", [str(URDF), URDF.read_text()], ids=["a path as text", "the text of the URDF"])
 def test_descriptions(urdf: str, plain: dict[str, Any]) -> None:
-    assert document(str(BAG), urdf) == plain
+    assert document(str(BAG), urdf, candidates=[]) == plain
 
 
 @pytest.fixture
 def configurations(tmp_path: Path) -> dict[str, Any]:
     """One and the same configuration, in every way to give it."""
-    values = {"effects": ["effort_offset"], "filter.cutoff": 4.0}
+    values = {"effects": ["effort_offset"], "candidates": [], "filter.cutoff": 4.0}
     (tmp_path / "node.yaml").write_text(json.dumps({"/**": {"ros__parameters": values}}))
     path = tmp_path / "node.yaml"
     return {"path": path, "text": str(path), "names": values, "object": Configuration(values)}
@@ -74,7 +74,7 @@ def test_configurations(configurations: dict[str, Any], plain: dict[str, Any]) -
 
 
 def test_without_held_out_data_the_fitted_ones_are_judged() -> None:
-    found = geomid_ros.identify(BAG, URDF, hold_out=0.0)
+    found = geomid_ros.identify(BAG, URDF, candidates=[], hold_out=0.0)
     assert list(found.held_out) == []
     assert found.document["rms"]["held_out"] is None
     assert list(found.rms.values()) == found.estimate.rms.tolist()
@@ -84,8 +84,8 @@ def test_without_held_out_data_the_fitted_ones_are_judged() -> None:
 @pytest.mark.parametrize("hold_out", [0.3, 0.0])
 def test_a_urdf_is_judged_with_its_own_friction(hold_out: float, tmp_path: Path) -> None:
     """Given as the URDF, an identified file has the error that it had alone, here and in the bounds of ``verify``."""
-    (tmp_path / "given.urdf").write_text(geomid_ros.identify(BAG, URDF, hold_out=hold_out).urdf())
-    found = geomid_ros.identify(BAG, tmp_path / "given.urdf", hold_out=hold_out)
+    (tmp_path / "given.urdf").write_text(geomid_ros.identify(BAG, URDF, candidates=[], hold_out=hold_out).urdf())
+    found = geomid_ros.identify(BAG, tmp_path / "given.urdf", candidates=[], hold_out=hold_out)
     found.save(tmp_path / "out", report=False)
     assert found.rms_nominal == pytest.approx(dict(found.handover.given))
     checked = geomid_ros.verify(
@@ -116,7 +116,7 @@ def test_shapes_are_found_from_any_folder_or_missed_in_words(tmp_path: Path) -> 
     shapes = (mesh.format("meshes/a&amp;b.obj") + mesh.format("package://none/gone.stl")).replace("</link>", "", 1)
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(URDF.read_text().replace("</link>", shapes, 1))
-    found = geomid_ros.identify(BAG, urdf, reader="mujoco")
+    found = geomid_ros.identify(BAG, urdf, reader="mujoco", candidates=[])
     found.save(tmp_path / "elsewhere" / "out", report=False)
     (said,) = [note for note in found.document["notes"] if " missing, " in note]
     missing = "identified.xml: 1 shape missing, the first of link 'base_link': the mesh 'package://none/gone.stl'"
@@ -135,13 +135,14 @@ def test_the_plain_urdf_is_warned_of_if_it_holds_less_than_the_file(
 ) -> None:
     """Neither Gazebo's file nor a plain URDF has the rotors' inertias."""
     monkeypatch.setattr(FileTest, "limited", property(lambda _: ["too plain"]))
-    assert geomid_ros.identify(BAG, URDF, reader=reader).verdict.warnings.count("too plain") == times
+    found = geomid_ros.identify(BAG, URDF, reader=reader, candidates=[])
+    assert found.verdict.warnings.count("too plain") == times
 
 
 @pytest.mark.usefixtures("without_pictures")
 def test_an_estimate_is_kept_whose_bag_is_gone_before_it_is_saved(tmp_path: Path) -> None:
     bag = shutil.copytree(BAG, tmp_path / "bag")
-    found = geomid_ros.identify(bag, URDF, hold_out=0.0)
+    found = geomid_ros.identify(bag, URDF, candidates=[], hold_out=0.0)
     shutil.rmtree(bag)
     files = {file.name for file in found.save(tmp_path / "out")}
     assert {"estimate.json", "posterior.npz", "report.html"} <= files

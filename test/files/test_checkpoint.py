@@ -45,7 +45,8 @@ def written(checkpoint: Checkpoint) -> bytes:
 
 
 def session(robot: str = "arm3", **values: Any) -> Session:
-    return Session((BAGS / f"{robot}.urdf").read_text(encoding="utf-8"), Configuration(values), robot)
+    configuration = Configuration({"candidates": [], **values})
+    return Session((BAGS / f"{robot}.urdf").read_text(encoding="utf-8"), configuration, robot)
 
 
 def samples(of: Session, begin: int, end: int) -> Samples:

@@ -35,6 +35,7 @@ def session() -> Session:
     return Session(shipped("arm3"), Configuration({"candidates": []}), "arm3.urdf")
 
 
+@cache
 def measured(seed: int, payload: bool, seconds: float = 20.0, last: bool = False) -> tuple[Motion, FloatArray]:
     """A motion, another for each seed, and the efforts of one robot, the same for all. Of the ``last`` joint alone, all
     others rest and are not measured."""
@@ -50,10 +51,12 @@ def measured(seed: int, payload: bool, seconds: float = 20.0, last: bool = False
     return held, np.where(moves, clean + NOISE * rng.normal(size=clean.shape), np.nan)
 
 
+@cache
 def recording(seed: int, payload: bool, last: bool = False) -> Samples:
     return samples(*measured(seed, payload, last=last))
 
 
+@cache
 def weighed(seed: int, gain: float = 0.0) -> WeighedPayload:
     return identify_payload(session(), [recording(seed, False)], [recording(seed, True)], LINK, gain)
 
