@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from commands.running import refused
+from commands.running import NO_CHOICE, refused
 from files.recordings import BAGS, QUICK, Recorded, recorded, write_bag
 
 from geomid_ros.simulation.description import WRIST_FRAME
@@ -211,8 +211,10 @@ class Round:
         known = ("--model", self.folder / "gap/estimate.json")
         commands = {
             "gap": self._command("gap", "gap"),
-            "identify": self._command("identify", "identify", "--effects", f"effort_offset,{self.kind.name}"),
-            "later": self._command("identify", "later", *known, "--effects", "effort_offset"),
+            "identify": self._command(
+                "identify", "identify", *NO_CHOICE, "--effects", f"effort_offset,{self.kind.name}"
+            ),
+            "later": self._command("identify", "later", *known, *NO_CHOICE, "--effects", "effort_offset"),
         }
         drawn = {"gap", "identify"} if self.kind.name in DRAWN else set()
         if drawn:

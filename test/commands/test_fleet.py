@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import pytest
 from fleet.bags import URDF, piece, torn, without_efforts
@@ -20,6 +20,7 @@ from .running import done, geomid, read, refused
 
 distributed = pytest.importorskip("distributed")
 fsspec = pytest.importorskip("fsspec")
+Options: TypeAlias = tuple[str | Path, ...]
 NOBODY = "tcp://127.0.0.1:9"
 
 
@@ -51,10 +52,18 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def first(bags: Path, scheduler: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def options(tmp_path_factory: pytest.TempPathFactory) -> Options:
+    """The options of all runs; to choose among effects takes most of an identification's time."""
+    config = tmp_path_factory.mktemp("config") / "robot.yaml"
+    config.write_text("/**: {ros__parameters: {candidates: []}}")
+    return "--urdf", URDF, "--config", config
+
+
+@pytest.fixture(scope="module")
+def first(bags: Path, scheduler: str, options: Options, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The folder of a run, and what it printed."""
     out = tmp_path_factory.mktemp("out")
-    return out, done("fleet", bags, "--urdf", URDF, "--scheduler", scheduler, "--out", out)
+    return out, done("fleet", bags, *options, "--scheduler", scheduler, "--out", out)
 
 
 def without_time(document: dict[str, Any]) -> dict[str, Any]:
@@ -80,8 +89,10 @@ def test_every_robot_has_its_estimate_and_bad_bags_are_told(first: tuple[Path, s
 
 
 @pytest.mark.usefixtures("without_pictures")
-def test_a_robot_of_one_bag_is_as_identify_finds_it(first: tuple[Path, str], bags: Path, tmp_path: Path) -> None:
-    geomid("identify", bags / "bob" / "good", "--urdf", URDF, "--out", tmp_path)
+def test_a_robot_of_one_bag_is_as_identify_finds_it(
+    first: tuple[Path, str], bags: Path, options: Options, tmp_path: Path
+) -> None:
+    geomid("identify", bags / "bob" / "good", *options, "--out", tmp_path)
     expected, found = read(tmp_path), read(first[0] / "bob")
     for kind in ("nominal", "train", "held_out"):
         assert found["rms"].pop(kind) == pytest.approx(expected["rms"].pop(kind), rel=1e-9)
@@ -100,36 +111,38 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-def test_what_is_done_is_not_done_again_and_what_is_new_needs_workers(first: tuple[Path, str], bags: Path) -> None:
+def test_what_is_done_is_not_done_again_and_what_is_new_needs_workers(
+    first: tuple[Path, str], bags: Path, options: Options
+) -> None:
     """Nobody listens at the scheduler's address: all that there is to do must have been done."""
     out, _ = first
     before = read(out / "bob")
-    done("fleet", bags, "--urdf", URDF, "--scheduler", NOBODY, "--out", out)
+    done("fleet", bags, *options, "--scheduler", NOBODY, "--out", out)
     assert read(out / "bob") == before
     new = piece(bags / "bob" / "new", 2.0)
     try:
-        message = refused("fleet", bags, "--urdf", URDF, "--scheduler", NOBODY, "--out", out)
+        message = refused("fleet", bags, *options, "--scheduler", NOBODY, "--out", out)
         assert message.startswith(f"no Dask scheduler answers at {NOBODY}")
     finally:
         shutil.rmtree(new)
     assert read(out / "bob") == before
-    done("fleet", bags, "--urdf", URDF, "--scheduler", NOBODY, "--out", out)
+    done("fleet", bags, *options, "--scheduler", NOBODY, "--out", out)
 
 
 @pytest.mark.usefixtures("impatient")
-def test_another_configuration_is_done_anew(first: tuple[Path, str], bags: Path) -> None:
-    arguments = ("fleet", bags, "--urdf", URDF, "--cutoff", "4", "--scheduler", NOBODY, "--out", first[0])
+def test_another_configuration_is_done_anew(first: tuple[Path, str], bags: Path, options: Options) -> None:
+    arguments = ("fleet", bags, *options, "--cutoff", "4", "--scheduler", NOBODY, "--out", first[0])
     assert "no Dask scheduler answers" in refused(*arguments)
 
 
-def test_what_has_changed_is_told(first: tuple[Path, str], bags: Path, tmp_path: Path) -> None:
+def test_what_has_changed_is_told(first: tuple[Path, str], bags: Path, options: Options, tmp_path: Path) -> None:
     out, _ = first
     for robot in ("ada", "bob"):
         shutil.copytree(out / robot, tmp_path / robot)
     document = read(tmp_path / "ada")
     document["links"][2]["mass"] *= 2.0
     (tmp_path / "ada" / "estimate.json").write_text(json.dumps(document))
-    printed = done("fleet", bags, "--urdf", URDF, "--scheduler", NOBODY, "--out", out, "--since", tmp_path)
+    printed = done("fleet", bags, *options, "--scheduler", NOBODY, "--out", out, "--since", tmp_path)
     (line,) = [line for line in printed.splitlines() if line.strip().startswith("ada ")]
     name, mass = document["links"][2]["name"], read(out / "ada")["links"][2]["mass"]
     assert f"mass of {name} changed by" in line
@@ -146,21 +159,23 @@ def test_an_earlier_run_that_is_not_there_is_refused(bags: Path, tmp_path: Path)
 
 
 def test_bags_and_what_is_kept_in_object_stores(
-    first: tuple[Path, str], bags: Path, scheduler: str, tmp_path: Path
+    first: tuple[Path, str], bags: Path, scheduler: str, options: Options, tmp_path: Path
 ) -> None:
     memory = fsspec.filesystem("memory")
     for robot in ("ada", "bob"):
         memory.put(str(bags / robot / "good"), f"/store/{robot}/good", recursive=True)
-    arguments = ("--urdf", URDF, "--scheduler", scheduler, "--keep", "memory://kept", "--out", tmp_path)
+    arguments = (*options, "--scheduler", scheduler, "--keep", "memory://kept", "--out", tmp_path)
     done("fleet", "memory://store", *arguments)
     assert without_time(read(tmp_path / "bob")) == without_time(read(first[0] / "bob"))
     assert len(memory.ls("/kept", detail=False)) == 7  # the plan, two files for each bag, one for each robot
 
 
 @pytest.mark.usefixtures("without_pictures")
-def test_bags_of_the_fleet_serve_as_a_prior(first: tuple[Path, str], bags: Path, tmp_path: Path) -> None:
+def test_bags_of_the_fleet_serve_as_a_prior(
+    first: tuple[Path, str], bags: Path, options: Options, tmp_path: Path
+) -> None:
     prior = ("--prior", first[0] / "population.json")
-    result = geomid("identify", bags / "cyd" / "good", "--urdf", URDF, *prior, "--out", tmp_path)
+    result = geomid("identify", bags / "cyd" / "good", *options, *prior, "--out", tmp_path)
     assert result.exit_code in (0, 4), result.output
     assert read(tmp_path)["converged"]
     message = refused(
@@ -177,8 +192,10 @@ def test_a_fleet_of_which_nothing_can_be_used_is_doubtful(bags: Path, scheduler:
     assert "no effort is measured" in " ".join(result.stdout.split())
 
 
-def test_what_is_kept_and_damaged_is_told_or_made_anew(bags: Path, scheduler: str, tmp_path: Path) -> None:
-    arguments = ("fleet", bags / "bob", "--urdf", URDF, "--scheduler", scheduler, "--out", tmp_path)
+def test_what_is_kept_and_damaged_is_told_or_made_anew(
+    bags: Path, scheduler: str, options: Options, tmp_path: Path
+) -> None:
+    arguments = ("fleet", bags / "bob", *options, "--scheduler", scheduler, "--out", tmp_path)
     done(*arguments)
     before = read(tmp_path / "bob")
     (outcome,) = (tmp_path / "kept").glob("bag-*.json")
