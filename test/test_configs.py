@@ -124,7 +124,7 @@ def identified(bag: Path, urdf: Path, config: str, out: Path, *more: str) -> dic
 
 
 @needs_recordings
-@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.usefixtures("found_only")
 def test_a_measured_universal_robot(tmp_path: Path) -> None:
     """Its efforts were written as N m; the driver gives A."""
     folder = MEASURED / "ur10_unisa_rosbag2"
@@ -134,7 +134,7 @@ def test_a_measured_universal_robot(tmp_path: Path) -> None:
 
 
 @needs_recordings
-@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.usefixtures("found_only")
 def test_a_measured_franka(tmp_path: Path) -> None:
     """Its driver called the joints otherwise than its description did. Its joint states were republished, which cost
     half of the accuracy while their stamps were believed."""
@@ -148,7 +148,7 @@ def test_a_measured_franka(tmp_path: Path) -> None:
 
 
 @needs_recordings
-@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.usefixtures("found_only")
 def test_a_measured_person(tmp_path: Path) -> None:
     folder = MEASURED / "human_forceplate"
     wrench = ("--wrench", "/wrench:odom:external")

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
-from commands.running import WRIST, done, identify, undrawn
+from commands.running import WRIST, done, found_only, identify, undrawn
 from files.recordings import BAGS
 
 import geomid_ros
@@ -32,7 +32,9 @@ def document(*arguments: Any, **options: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def plain() -> dict[str, Any]:
-    return document(BAG, URDF, candidates=[])
+    with pytest.MonkeyPatch.context() as patch:
+        found_only(patch)
+        return document(BAG, URDF, candidates=[])
 
 
 def test_it_says_the_same_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,6 +53,7 @@ def test_it_says_the_same_as_the_command(tmp_path: Path, monkeypatch: pytest.Mon
     assert own == {key: value for key, value in printed.items() if key not in ("seconds", "origin")}
 
 
+@pytest.mark.usefixtures("found_only")
 @pytest.mark.parametrize("urdf", [str(URDF), URDF.read_text()], ids=["a path as text", "the text of the URDF"])
 def test_descriptions(urdf: str, plain: dict[str, Any]) -> None:
     assert document(str(BAG), urdf, candidates=[]) == plain
@@ -65,6 +68,7 @@ def configurations(tmp_path: Path) -> dict[str, Any]:
     return {"path": path, "text": str(path), "names": values, "object": Configuration(values)}
 
 
+@pytest.mark.usefixtures("found_only")
 def test_configurations(configurations: dict[str, Any], plain: dict[str, Any]) -> None:
     first, *others = (document(BAG, URDF, config=config) for config in configurations.values())
     assert all(other == first for other in others)
