@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from model.robots import random_samples, urdf, with_values
 
-from geomid_ros.checks.moving_base import gyroscope, on_all_feet, reversed_efforts
+from geomid_ros.checks.moving_base import gyroscope, never_lifted, on_all_feet, reversed_efforts
 from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
 from geomid_ros.checks.unexplained import unexplained_base
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -199,3 +202,13 @@ def test_what_is_kept_for_other_sensors_needs_no_feet() -> None:
     assert seen[0].recent_stance is None
     assert seen[0].recent_motion is not None
     assert len(seen[0].recent_motion) > COUNT // 2
+
+
+def test_a_leg_of_which_any_joint_has_been_fitted_was_in_the_air() -> None:
+    """Another joint of it may have measured nothing."""
+    model, own = MeasurementModel(ROBOT, (), contacts=[Contact(foot, 0.02) for foot in FEET]), legs(2)
+    lacking = [ROBOT.joint_names[joint] for joint in (own.joints[0][0], *own.joints[1])]
+    rms = [np.nan if channel in lacking else 1.0 for channel in ROBOT.joint_names]
+    estimate: Any = SimpleNamespace(channels=ROBOT.joint_names, rms=rms)
+    (sentence,) = never_lifted(model, estimate)
+    assert sentence.startswith(f"the training data show {FEET[1]} never long enough")

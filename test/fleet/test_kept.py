@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import permutations
 from pathlib import Path
@@ -12,9 +13,10 @@ import pytest
 import geomid_ros
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.fleet.work import BagSummary, solve, sum_of_summaries, summarise
+from geomid_ros.fleet.recordings import FleetBag
+from geomid_ros.fleet.work import BagSummary, FleetPlan, solve, sum_of_summaries, summarise
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import Bags
+from geomid_ros.session.recordings import Bags, Topics
 from geomid_ros.session.session import Session, document
 from geomid_ros.types import FloatArray
 
@@ -96,6 +98,16 @@ def test_what_is_damaged_is_refused(bags: list[Path], damage: slice) -> None:
     session, kept = summary(bags[1])
     with pytest.raises(InputError):
         BagSummary.decoded(kept.encoded(session)[damage], fresh())
+
+
+def test_what_is_kept_is_called_by_all_that_it_depends_on() -> None:
+    """Whatever differs makes another file: nothing is taken for what it is not."""
+    plan = FleetPlan(description="<robot/>", source="a", given={}, topics=Topics("joint_states", "odom"))
+    other, bag = replace(plan, given={"filter.cutoff": 3.0}), FleetBag("robot", "bag", "first")
+    names = [of.summary_name(one) for of in (plan, other) for one in (bag, replace(bag, fingerprint="second"))]
+    names += [of.results_name("robot", bags) for of in (plan, other) for bags in (names[:1], names[:2])]
+    assert len(set(names)) == 8
+    assert plan.results_name("robot", names[:2]) == plan.results_name("robot", names[1::-1])
 
 
 def test_rows_of_another_configuration_are_refused(bags: list[Path]) -> None:
