@@ -32,6 +32,7 @@ from geomid_ros.signals.joint_messages import UNWRAPPED
 from geomid_ros.signals.sampler import IN_BURSTS
 from geomid_ros.types import FloatArray, IntArray
 
+pytestmark = pytest.mark.usefixtures("found_only")
 MIDDLE = 400  # of 800 joint messages
 NAN = float("nan")
 
