@@ -13,8 +13,9 @@ import pytest
 from estimation.arms import Case, Motion, arm, efforts, motion, samples, shipped, truth
 
 from geomid_ros.checks.causes import NOT_CHECKED, Cause, RecordingFault
+from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
-from geomid_ros.checks.transforms import _without_sign
+from geomid_ros.checks.transforms import _absolute, _without_sign
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -171,6 +172,16 @@ def test_what_is_planted_is_named(
     if kind == "gain" and not joints:
         factor = np.std(plant(of).effort[:, 0]) / np.std(of.samples.effort[:, 0])
         assert cause.settings["effort_gain"] * factor == pytest.approx(1.0, rel=0.6)
+
+
+def test_the_angle_of_a_parallel_joint_is_taken_away_as_a_whole() -> None:
+    of = case(*THREE)
+    (carrier,) = of.model.robot.parallel_joints(2)
+    subject = EffortData.of_all(of.model.robot, with_another(of))
+    corrected = _absolute(subject, 2, carrier, 1.0).corrected
+    assert corrected is not None
+    for name in ("position", "velocity", "acceleration"):
+        np.testing.assert_allclose(corrected(subject).samples.arrays[name], of.samples.arrays[name], atol=1e-12)
 
 
 def at_rest(of: Case) -> Samples:
