@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
-from inspect import getclosurevars
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from files.recordings import BAGS
 from matplotlib.figure import Figure
 
 from geomid_ros.commands import root
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimator import EstimatorSettings, estimate
+from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.model.measurement_model import MeasurementModel
 
 WRIST = ("--wrench", "/wrench:wrist_ft:mounted")
 # To choose among effects takes most of an identification's time.
@@ -53,15 +56,16 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("geomid_ros.report.excitation.motion_figure", lambda *_: Figure((1.0, 1.0)))
 
 
-def as_estimated(_model: Any, _columns: Any, files: Any, _errors: Any, _among: Any, fit: Any) -> dict[str, np.ndarray]:
-    """The estimate in place of a fit for each file, which takes as long again."""
-    return dict.fromkeys(files, getclosurevars(fit).nonlocals["result"].parameters)
+def as_estimated(model: MeasurementModel, summary: RowSummary, settings: EstimatorSettings, *others: Any) -> Estimate:
+    """The estimate, also in place of a fit for each file, which takes as long again."""
+    found = estimate(model, summary, replace(settings, files={}), *others)
+    return replace(found, within=dict.fromkeys(settings.files, found.parameters))
 
 
 def found_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let nothing be made of what is found, where nobody looks at it: it takes as long as to find it."""
     undrawn(monkeypatch)
-    monkeypatch.setattr("geomid_ros.estimation.estimator.fit_files", as_estimated)
+    monkeypatch.setattr("geomid_ros.estimation.identifier.estimate", as_estimated)
     monkeypatch.setattr("geomid_ros.api.identify.Identification._remainder", lambda *_: None)
     monkeypatch.setattr("geomid_ros.api.gap.simulate_again", lambda *_: ([], "nobody looks at it"))
 

@@ -17,7 +17,7 @@ from commands.running import as_estimated
 from matplotlib.figure import Figure
 
 from geomid_ros.api.identify import Identification
-from geomid_ros.estimation import estimator
+from geomid_ros.estimation import identifier
 from geomid_ros.excitation.search import Search
 from geomid_ros.live import supervisor
 from geomid_ros.report import drawing, excitation
@@ -89,7 +89,7 @@ def _spare() -> None:
     supervisor.HANGING = 3600.0
     Search.improved = lambda self, motion, *_: self.feasibility.shrunk_to_feasible(motion, self.halvings)
     drawing.draw_identification = excitation.motion_figure = lambda *_: Figure((1.0, 1.0))
-    estimator.fit_files, Identification._remainder = as_estimated, lambda *_: None
+    identifier.estimate, Identification._remainder = as_estimated, lambda *_: None
 
 
 def end_server() -> None:
