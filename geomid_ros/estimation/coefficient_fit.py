@@ -311,30 +311,6 @@ class CoefficientFit:
         """All parameters and minus one ``(n + 1,)``; the columns and the target times it are the residual."""
         return np.append(self.parameters, -1.0)
 
-    @property
-    def _slopes(self) -> FloatArray:
-        """Half the derivative ``(folds, k)`` of each fold's squares by the k parameters, for folds with rows."""
-        problem = self.rows.problem
-        slopes = np.zeros((problem.summary.folds, self.rows.size + 1))
-        for channel, weight, parts in zip(problem.summary.groups, self.weights, problem.summary.parts(), strict=False):
-            places = np.append(channel.columns, self.rows.size)
-            residuals = [part.factor @ self.vector[places] for part in parts]
-            slopes[:, places] += weight * np.array([r @ part.factor for r, part in zip(residuals, parts, strict=True)])
-        slopes *= problem.independent_fraction
-        return slopes[np.any(slopes, axis=1)][:, self.columns]
-
-    def squares_of(self, columns: IntArray) -> FloatArray:
-        """Squares of some of its coefficients in units of their variances."""
-        inverse, manifold = self.inverse, self.fit.objective.manifold
-        slopes = manifold.whiten(self.fit.point, self._slopes)
-        real = self.columns >= self.rows.first_column
-        variances = np.diag(inverse)[real]
-        inflation = self._inflation(self.columns[real], (slopes @ inverse)[:, real], variances)
-        values = manifold.log(self.fit.objective.profile.prior, self.fit.point)[real]
-        squares = np.zeros(self.rows.size)
-        squares[self.columns[real]] = values**2 / (inflation * variances)
-        return np.asarray(squares[columns])
-
     def gains(self, columns: IntArray) -> FloatArray:
         """Increase of twice the log-likelihood by each of other ``columns``, by the score test; zero for a coefficient
         that would be negative and cannot be."""
@@ -344,15 +320,3 @@ class CoefficientFit:
         unexplained = squares - np.sum(shared * (shared @ self.inverse), axis=1)
         useful = ((values >= 0.0) | ~self.rows.positive[columns]) & (unexplained > ROUNDING * squares)
         return np.asarray(np.where(useful, values**2 / np.where(useful, unexplained, 1.0), 0.0))
-
-    def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
-        """Factors by which the variances of coefficients exceed those for independent residuals, from what each fold
-        contributes, ``parts (folds, columns)``. The mean over an effect's places counts as one fold more."""
-        count = len(parts)
-        if count < 2:
-            return np.ones(len(columns))
-        scatter = count / (count - 1.0) * np.sum((parts - np.mean(parts, axis=0)) ** 2, axis=0) / variances
-        kinds = np.array([self.rows.coefficient(column).effect.name for column in columns])
-        means = {kind: float(np.mean(scatter[kinds == kind])) for kind in set(kinds.tolist())}
-        kind_means = np.array([means[kind] for kind in kinds.tolist()])
-        return np.asarray(np.maximum(((count - 1.0) * scatter + kind_means) / count, 1.0))

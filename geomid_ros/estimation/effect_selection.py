@@ -1,12 +1,10 @@
 """Choose the effects of a fit: those that the rows support, in their best shape; and those that a file can hold.
 
 A default effect may have one of several shapes, such as the speed over which dry friction changes its sign. It gets the
-shape of the highest marginal likelihood. Then optional effects are added one by one while they improve the fit visibly,
-and those that are not significant are removed. This is done first with the rows of motion. Then the rows at rest and
-near reversals are added: they decide anew on the shapes, and on the effects with memory of the past motion. An effect
-is significant by its squared size in units of its standard deviation. This is estimated from blocks of time, because an
-effect scatters far more between these than independent residuals would (jackknife; Liang and Zeger, "Longitudinal data
-analysis using generalized linear models", 1986). So an effect must repeat to be significant.
+shape of the highest marginal likelihood. Then optional effects are added one by one while they improve the fit
+visibly. This is done first with the rows of motion. Then the rows at rest and near reversals are added: they decide
+anew on the shapes, and on the effects with memory of the past motion. Whether what was chosen is significant is asked
+of the estimate (``estimator.py``), which knows how much each effect scatters between blocks of time: it must repeat.
 
 The score test makes a shortlist of candidates, and the best of their trials is taken. They are tried with the inertias
 as fitted, and with inertias that stay near the prior, because a link that has absorbed an effect hides it. A
@@ -79,9 +77,9 @@ def choose(problem: Problem, earlier: IntArray | None, add_prior: Callable[[Prob
 
 
 def _grown(fit: CoefficientFit) -> CoefficientFit:
-    """Add the optional effects that the rows support, and remove those that they do not."""
+    """Add the optional effects that the rows support, and remove those that are implausible."""
     rows = fit.rows
-    fit = _without_insignificant(_shaped(fit, range(len(rows.problem.model.robot.joints))))
+    fit = _plausible(_shaped(fit, range(len(rows.problem.model.robot.joints))))
     tried: set[Mechanism] = set()
     while trials := _trials_of_best(fit, rows.candidates(fit.all_columns, tried)):
         possible = {column: trial for column, trial in trials.items() if trial is not None}
@@ -92,7 +90,7 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
         tried.add(rows.mechanism(column))
         fit = min((rows.fit(best.all_columns, start) for start in _starts(fit)), key=lambda larger: larger.score)
         fit = _shaped(fit, joints_of(rows.coefficient(column).place))
-    return _without_insignificant(fit)
+    return _plausible(fit)
 
 
 def _starts(fit: CoefficientFit) -> tuple[CoefficientFit, CoefficientFit]:
@@ -144,13 +142,10 @@ def _best_shapes(trials: Trials, columns: IntArray) -> Trial:
     return best
 
 
-def _without_insignificant(fit: CoefficientFit) -> CoefficientFit:
-    """Remove the optional effects that are implausible or not significant, the least significant first."""
-    while len(fit.chosen_columns):
-        squares = fit.is_plausible * fit.squares_of(fit.chosen_columns)
-        if np.min(squares) > SIGNIFICANT_STDS**2:
-            break
-        fit = fit.rows.fit(np.setdiff1d(fit.all_columns, fit.chosen_columns[np.argmin(squares)]), fit)
+def _plausible(fit: CoefficientFit) -> CoefficientFit:
+    """Remove the optional effects that are implausible."""
+    while not np.all(fit.is_plausible):
+        fit = fit.rows.fit(np.setdiff1d(fit.all_columns, fit.chosen_columns[~fit.is_plausible]), fit)
     return fit
 
 

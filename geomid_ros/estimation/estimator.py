@@ -277,7 +277,7 @@ def _optional(model: MeasurementModel) -> set[Mechanism]:
 
 def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, float]:
     """Columns of those ``among`` the effects that are not significant, with their sizes in standard deviations, at most
-    the sizes of the effects that they need."""
+    the sizes of the effects that they need: zero if one of these is left out."""
     problem = solved.minimum.fitted.problem
     coefficients = problem.model.coefficients
     sizes = [_size(c, effect) for c, effect in zip(coefficients, solved.minimum.effects, strict=True)]
@@ -285,7 +285,7 @@ def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, f
         (c.place, c.effect): size for c, size in zip(coefficients, sizes, strict=True)
     }
     least = [
-        min([size, *(by_effect.get((c.place, effect), size) for effect in c.effect.needs)])
+        min([size, *(by_effect.get((c.place, effect), 0.0) for effect in c.effect.needs)])
         if c.mechanism in among
         else np.inf
         for c, size in zip(coefficients, sizes, strict=True)
