@@ -102,7 +102,8 @@ def test_messages_are_predicted_as_rows_predict_their_motion(
 
 
 def test_efforts_are_those_of_the_rows(identification: Identification) -> None:
-    """At any parameters, with all effects that a model may have, those that depend on loads, too."""
+    """At any parameters, with all effects that a model may have, those that depend on loads, too; of a tilt those under
+    gravity of that direction, with which rows are linear."""
     model = identification.session.model
     assert len({coefficient.effect.name for coefficient in model.coefficients}) > 6
     random = np.random.default_rng(3)
@@ -110,7 +111,11 @@ def test_efforts_are_those_of_the_rows(identification: Identification) -> None:
     parameters = np.append(model.nominal_inertias * random.uniform(0.5, 2.0), coefficients)
     model = model.with_drive_gains(random.uniform(0.5, 2.0, len(model.channels)))
     states = random.normal(size=(3, 40, 3))
-    expected = model.predicted_efforts(samples_of(states), parameters)
+    tilts = [c.effect.turns_gravity for c in model.coefficients]
+    assert np.count_nonzero(tilts) == 2
+    level = np.append(parameters[: -len(tilts)], np.where(tilts, 0.0, coefficients))
+    turned = model.with_gravity(model.gravity_at(parameters))
+    expected = turned.predicted_efforts(samples_of(states), level)
     np.testing.assert_allclose(InverseDynamics(model, parameters)(states), expected, atol=1e-9)
 
 
