@@ -19,6 +19,7 @@ from geomid_ros.estimation.starting_point import (
 )
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.effects import identifiable, joint_of
+from geomid_ros.model.effects.mounting import GravityTilt
 from geomid_ros.model.effects.sensor_errors import EffortOffset
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
@@ -112,6 +113,18 @@ def test_a_given_prior_says_how_large_an_offset_is() -> None:
     )
     np.testing.assert_array_equal(spreads[-3:], [EffortOffset.prior_std_fraction] * 2 + [0.2])
     assert prior_parameters(case.model, found, given)[-1] == 0.7
+
+
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_a_tilt_is_expected_to_be_as_large_on_any_robot(name: str) -> None:
+    """About zero, though a first fit beside links that are wrong finds another one."""
+    case = arm(name, 0, seconds=2)
+    model = MeasurementModel(case.model.robot, [*case.effects, identifiable()["gravity_tilt"]])
+    found = summary(replace(case, model=model))
+    scales = scales_of_coefficients(model, found)[model.positives :]
+    stds = prior_stds_of(model, model.manifold(scales), None)[-2:]
+    np.testing.assert_allclose(stds * scales[-2:], GravityTilt.default_prior_std)
+    np.testing.assert_array_equal(prior_parameters(model, found, None)[-2:], 0.0)
 
 
 def test_a_coefficients_scale_is_that_with_which_it_is_as_large_as_its_channel() -> None:
