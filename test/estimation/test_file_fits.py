@@ -196,14 +196,15 @@ def test_an_error_of_a_sensor_is_significant_beside_a_file() -> None:
 
 
 def test_errors_that_are_unsure_in_the_estimate_are_left_out_of_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its first joint has none."""
+    """Its first joint has none; and its base is level, so that a file has no tilt in place of what it lacks."""
     case = arm("arm3", 0)
+    tilted = MeasurementModel(case.model.robot, case.effects, candidates=[identifiable()["gravity_tilt"]])
     some = Truth(case.true.links, {**case.true.effects, "effort_offset": np.array([0.0, 1.0, 1.0])})
     clean = efforts(case.model.robot, some, case.samples)
     noise, left_out = 0.05 * np.random.default_rng(0).normal(size=clean.shape), []
     monkeypatch.setattr(estimator, "fit_files", lambda *given: left_out.append(given[3]) or {})
-    solved(case.with_efforts(clean + noise), files=URDF)
-    np.testing.assert_array_equal(left_out, [_offsets(case)[:1]])
+    solved(replace(case.with_efforts(clean + noise), model=tilted), files=URDF)
+    np.testing.assert_array_equal(left_out, [[_offsets(case)[0], tilted.dimension - 2, tilted.dimension - 1]])
 
 
 def test_files_are_fitted_by_residuals_whatever_the_objective(monkeypatch: pytest.MonkeyPatch) -> None:
