@@ -54,7 +54,7 @@ class ReadBack:
     def efforts(self, robot: Robot, samples: Samples) -> FloatArray:
         """Joint efforts ``(N, joints)`` due to the attributes, and to another gravity than the ``robot``'s."""
         efforts = samples.efforts_of(self._terms(robot.joint_names))
-        if self.gravity is None or robot.floating_base:
+        if self.gravity is None:
             return efforts
         bodies = np.array([self.inertias[name] for name in robot.body_names])
         model = robot.with_inertias(bodies, range(len(bodies)))
