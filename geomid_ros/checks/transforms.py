@@ -361,7 +361,8 @@ def _times(subject: EffortData) -> Iterator[FaultCandidate]:
     not fit gravity in the efforts."""
     least_gain = cache(_gain_without_gravity)
     yield _at_rate(subject, 0.0, Cause.of("guided", subject.names), least_gain)
-    for rate in TIMES:
+    speeds = np.abs(subject.samples.velocity)
+    for rate in (rate for rate in TIMES if np.any(rate * speeds > REST_SPEED)):  # at others the robot would rest
         speed = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
         cause = Cause.of("time", subject.names, rate=speed, period=f"{1.0 / rate:g} times")
         yield _at_rate(subject, rate, cause, least_gain)

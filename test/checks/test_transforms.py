@@ -13,11 +13,13 @@ from benchmarks.corruption.__main__ import judged
 from benchmarks.corruption.recording import ARM3, Recording
 from benchmarks.corruption.simulated import RAIL, simulated
 from checks.test_efforts import ROBOTS, case, checked, findings, named
+from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.effort_data import moving as is_sliding
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
-from geomid_ros.checks.transforms import TIMES
+from geomid_ros.checks.transforms import TIMES, _times
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import REST_SPEED
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
@@ -80,6 +82,16 @@ def test_the_unit_of_a_joint_that_no_link_loads_is_open() -> None:
     still = Motion(moves * moved.position, moves * moved.velocity, moves * moved.acceleration)
     measured = 2.0 * still.acceleration + 0.1 * np.random.default_rng(2).normal(size=still.position.shape)
     assert findings(MeasurementModel(robot, ()), samples(still, measured)) == ()
+
+
+def test_no_clock_is_tried_under_which_the_robot_would_rest() -> None:
+    """Efforts of any unit would be those of a robot that only holds itself."""
+    of = case(*ROBOTS[0])
+    fastest = np.max(np.abs(of.samples.velocity))
+    for speed in (1e-3, 0.1, 1e9):
+        slow = replace(of.samples, velocity=speed / fastest * of.samples.velocity)
+        tried = list(_times(EffortData.of_all(of.model.robot, slow)))
+        assert len(tried) == 1 + sum(rate * speed > REST_SPEED for rate in TIMES), "that of a guided robot, and these"
 
 
 def test_what_one_of_two_recordings_shows_is_a_remark() -> None:
