@@ -14,7 +14,15 @@ from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.coefficient_fit import CoefficientRows
 from geomid_ros.estimation.drive_gains import fit_drive_gains
 from geomid_ros.estimation.effect_selection import Choice, choose, file_fit, fit_files
-from geomid_ros.estimation.estimate import STDS_OF_95, WITHIN, EffectEstimate, Estimate, LinksInformation, Predictor
+from geomid_ros.estimation.estimate import (
+    SIGNIFICANT_STDS,
+    STDS_OF_95,
+    WITHIN,
+    EffectEstimate,
+    Estimate,
+    LinksInformation,
+    Predictor,
+)
 from geomid_ros.estimation.fit import INDEPENDENT_ROWS_PER_PERIOD, Fit, fit, with_second_start
 from geomid_ros.estimation.link_priors import AlikePrior, CoupledPrior, PopulationPrior, fit_with_coupled_prior
 from geomid_ros.estimation.objective import GeodesicObjective, row_weights
@@ -296,9 +304,13 @@ def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, f
 
 def _size(coefficient: Coefficient, effect: EffectEstimate) -> float:
     """Size of a coefficient in its standard deviations. If it is expected to be zero on any robot, with a default prior
-    std, it is the size of the posterior's mean: the noise is larger than the fit, which has this value, assumed."""
-    counts = effect.from_data if coefficient.effect.default_prior_std else 1.0
-    return counts * abs(effect.value) / max(effect.std, np.finfo(float).tiny)
+    std, it is the size of the posterior's mean: the noise is larger than the fit, which has this value, assumed. It is
+    zero if the value is hardly possible: then it stands for something else."""
+    size = abs(effect.value) / max(effect.std, np.finfo(float).tiny)
+    if not coefficient.effect.default_prior_std:
+        return size
+    expected = coefficient.effect.default_prior_std[coefficient.index]
+    return 0.0 if abs(effect.value) > SIGNIFICANT_STDS * expected else effect.from_data * size
 
 
 def filtered_fraction(

@@ -93,7 +93,7 @@ def test_a_tilt_is_found_beside_wrong_links(seed: int) -> None:
     assert np.all(std < 0.2 * np.linalg.norm(TILT))
 
 
-@pytest.mark.parametrize(("value", "std"), [(0.02, 0.002), (-0.1, 0.036), (0.04, 0.02)])
+@pytest.mark.parametrize(("value", "std"), [(0.02, 0.002), (-0.05, 0.036), (0.04, 0.02), (0.0599, 0.01)])
 def test_its_size_is_that_of_the_posterior(value: float, std: float) -> None:
     """A product of two normal densities: of what is expected, and of what the data say."""
     coefficient, expected = with_tilt(arm("arm3", 0), TILT).model.coefficients[-2], GravityTilt.default_prior_std[0]
@@ -105,6 +105,12 @@ def test_its_size_is_that_of_the_posterior(value: float, std: float) -> None:
         from_data=1.0 - variance / expected**2,
     )
     assert _size(coefficient, found) == pytest.approx(abs(variance * value / std**2) / np.sqrt(variance))
+
+
+def test_a_tilt_of_many_degrees_is_none() -> None:
+    """A base that is tilted so far is so on purpose, and gravity is given: here something else passes for a tilt."""
+    assert np.all(tilt_of(identifier(with_tilt(arm("arm7", 0), np.array([0.05, 0.0]))).solve())[0, 0] > 0.04)
+    assert not np.any(tilt_of(identifier(with_tilt(arm("arm7", 0), np.array([0.08, 0.0]))).solve())[:, 0])
 
 
 def test_of_a_level_base_there_is_none() -> None:
