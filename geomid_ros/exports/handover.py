@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -220,14 +220,15 @@ def _fuller(effects: Sequence[KnownEffect], reader: str) -> tuple[str, ...]:
     return tuple(each for each, count in lacking.items() if min(lacking.values()) == count < lacking[reader])
 
 
-def _added(read: ReadBack, effects: Iterable[KnownEffect], joints: Collection[str]) -> tuple[str, ...]:
+def _added(read: ReadBack, effects: Iterable[KnownEffect], joints: Sequence[str]) -> tuple[str, ...]:
     """Effects in words that a description has at ``joints`` and the ``effects`` have not: its own fit chose them, or
     they are of the given description."""
     elements = ELEMENTS[read.reader]
     own = {(e.joint, form.place_in(elements)) for e in effects for form in e.cls.parameters}
-    names = {cls.parameters[0].place_in(elements): cls.name for cls in reversed(EFFECTS.values())}
-    added = [pair for pair, value in read.attributes.items() if value and pair[1] in names and pair not in own]
-    return tuple(with_places((effect_name(names[at]), joint) for joint, at in added if joint in joints))
+    kinds = {cls.parameters[0].place_in(elements): cls for cls in reversed(EFFECTS.values())}
+    added = [pair for pair, value in read.attributes.items() if value and pair[1] in kinds and pair not in own]
+    moving = [pair for pair in added if place_named(kinds[pair[1]].place, pair[0], joints) is not None]
+    return tuple(with_places((effect_name(kinds[at].name), joint) for joint, at in moving))
 
 
 def _bent(read: ReadBack, links: Mapping[str, UncertainInertia]) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from geomid_ros.exports.handover import (
     DescriptionTest,
     FileTest,
     ReadBack,
+    _added,
     evaluate_description,
     read_mjcf_back,
     read_urdf_back,
@@ -354,3 +355,9 @@ def test_under_the_recorded_commands_the_written_robot_is_where_the_measured_one
     assert tracking is not None
     assert tracking.rms.keys() == {"joint1", "joint2", "joint3"}
     assert tracking.total < 2e-3
+
+
+def test_a_file_may_add_a_coupling_of_moving_joints() -> None:
+    """But nothing at a joint that does not move."""
+    attributes = {("a+b", "tendon/damping"): 1.0, ("a+fixed", "tendon/damping"): 1.0, ("fixed", "joint/damping"): 1.0}
+    assert _added(ReadBack("mujoco", {}, attributes), (), ("a", "b")) == ("coupled viscous friction of a+b",)
