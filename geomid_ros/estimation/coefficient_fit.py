@@ -291,6 +291,16 @@ class CoefficientFit:
         """Inverse of the Hessian ``(fitted, fitted)``."""
         return spd.inverse(self.fit.hessian)
 
+    @property
+    def is_plausible(self) -> BoolArray:
+        """See :meth:`CoefficientRows.are_plausible`, for each of the :attr:`chosen_columns`."""
+        return self.rows.are_plausible(self.all_columns, self.parameters)
+
+    @cached_property
+    def chosen_columns(self) -> IntArray:
+        """Columns of the optional coefficients in this fit."""
+        return np.intersect1d(self.all_columns, self.rows.optional)
+
     @cached_property
     def residual_squares(self) -> FloatArray:
         """Residual sum of squares of each group."""

@@ -77,9 +77,9 @@ def choose(problem: Problem, earlier: IntArray | None, add_prior: Callable[[Prob
 
 
 def _grown(fit: CoefficientFit) -> CoefficientFit:
-    """Add the optional effects that the rows support."""
+    """Add the optional effects that the rows support, and remove those that are implausible."""
     rows = fit.rows
-    fit = _shaped(fit, range(len(rows.problem.model.robot.joints)))
+    fit = _plausible(_shaped(fit, range(len(rows.problem.model.robot.joints))))
     tried: set[Mechanism] = set()
     while trials := _trials_of_best(fit, rows.candidates(fit.all_columns, tried)):
         possible = {column: trial for column, trial in trials.items() if trial is not None}
@@ -90,7 +90,7 @@ def _grown(fit: CoefficientFit) -> CoefficientFit:
         tried.add(rows.mechanism(column))
         fit = min((rows.fit(best.all_columns, start) for start in _starts(fit)), key=lambda larger: larger.score)
         fit = _shaped(fit, joints_of(rows.coefficient(column).place))
-    return fit
+    return _plausible(fit)
 
 
 def _starts(fit: CoefficientFit) -> tuple[CoefficientFit, CoefficientFit]:
@@ -140,6 +140,13 @@ def _best_shapes(trials: Trials, columns: IntArray) -> Trial:
         better = (trial for trial in sorted(tried, key=lambda trial: trial.score) if trial.score < best.score)
         best = next((trial for trial in better if trial.is_plausible), best)
     return best
+
+
+def _plausible(fit: CoefficientFit) -> CoefficientFit:
+    """Remove the optional effects that are implausible."""
+    while not np.all(fit.is_plausible):
+        fit = fit.rows.fit(np.setdiff1d(fit.all_columns, fit.chosen_columns[~fit.is_plausible]), fit)
+    return fit
 
 
 def _trials_of_best(present: CoefficientFit, candidates: IntArray) -> dict[int, Trial | None]:

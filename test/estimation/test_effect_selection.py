@@ -419,3 +419,16 @@ def test_a_trial_is_a_fit_to_second_order(prior_std: float, tied: float) -> None
         assert abs(fitted.score - present.score) > 10.0
         remaining = np.min((fitted.residual_squares / present.residual_squares)[rows.fast])
         assert (trial.leaves_less(0.99 - remaining), trial.leaves_less(1.01 - remaining)) == (True, False)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_the_search_begins_with_and_cannot_be_is_not_kept(sign: float) -> None:
+    """Stribeck friction whose excess is negative: with it, friction rises with speed."""
+    case = planted("arm3", 1)
+    excess = added("stribeck_friction", 1, case, case.noiseless)
+    case = case.with_efforts(case.samples.effort + sign * excess)
+    rows = CoefficientRows(problem(case))
+    shapes = [c for c in rows.optional if rows.mechanism(c)[:2] == ("stribeck_friction", AtJoint(1))]
+    best = min((rows.fit(np.append(rows.required_columns, shape)) for shape in shapes), key=lambda fit: fit.score)
+    kept = np.intersect1d(effect_selection._plausible(best).all_columns, shapes)
+    assert len(kept) == (sign > 0.0)
