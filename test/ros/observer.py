@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from files.recordings import TYPES, Recorded
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import NodeNameNonExistentError
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -22,6 +23,7 @@ from geomid_ros.live.saving import SLOW
 from .waiting import PATIENCE
 
 T = TypeVar("T")
+SETTLING = 1.0  # [s] in which what is new in a graph is discovered
 MATCHING = 1.0  # [s] a subscriber knows of a publisher a little later than the publisher of it
 BETWEEN_MESSAGES = 0.75e-3  # [s]
 TOGETHER = 20  # messages
@@ -97,6 +99,20 @@ class Observer:
                 return found
             self._executor.spin_once(timeout_sec=0.02)
         raise AssertionError(f"waited {patience:g} s in vain for {what}")
+
+    def settled(self, look: Callable[[], T]) -> T:
+        """What ``look`` finds in the graph once it finds the same again :data:`SETTLING` later; a node is discovered in
+        pieces, its name after what it offers."""
+
+        def found() -> tuple[T] | None:
+            try:
+                first = look()
+                self.spin(SETTLING)
+                return (first,) if look() == first else None
+            except NodeNameNonExistentError:
+                return None
+
+        return self.wait_for(found, "a graph in which nothing more is discovered")[0]
 
     def collect(self, kind: type, topic: str, qos: QoSProfile | None = None) -> list[Any]:
         """A list that grows by every message on a topic from now on."""

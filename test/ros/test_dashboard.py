@@ -85,11 +85,13 @@ def test_the_page_is_told_what_the_node_says(stage: Stage) -> None:
     assert {topic["name"] for topic in state["topics"]} == {"joint_states", "/wrench"}
 
     node = stage.observer.node
-    opened = [
-        *node.get_publisher_names_and_types_by_node("geomid_dashboard", "/"),
-        *node.get_subscriber_names_and_types_by_node("geomid_dashboard", "/"),
-        *node.get_client_names_and_types_by_node("geomid_dashboard", "/"),
-    ]
+    opened = stage.observer.settled(
+        lambda: [
+            *node.get_publisher_names_and_types_by_node("geomid_dashboard", "/"),
+            *node.get_subscriber_names_and_types_by_node("geomid_dashboard", "/"),
+            *node.get_client_names_and_types_by_node("geomid_dashboard", "/"),
+        ]
+    )
     assert [name for name, _ in opened] == ["/parameter_events", "/diagnostics"]  # the first as every node of rclpy
     assert dashboard.end() == 0, dashboard.output
     assert len(dashboard.output.splitlines()) == 1, dashboard.output

@@ -29,7 +29,6 @@ EVERYTHING = {
 WITH_IMU = {key: value for key, value in EVERYTHING.items() if key != "floating_base"} | {"imu": {"frame": "base_link"}}
 ODOMETRY, IMU = ("odom", "nav_msgs/msg/Odometry"), ("imu", "sensor_msgs/msg/Imu")
 COMMANDS = "joint_commands", "sensor_msgs/msg/JointState"
-SETTLING = 1.0  # [s] in which what should not be there would be discovered
 
 Opened: TypeAlias = dict[str, set[tuple[str, str]]]
 """Full names and types of what is ``subscribe``, ``publish`` and ``reply``."""
@@ -56,13 +55,17 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Opened]
         stage.node(WITH_IMU, "-r", "__ns:=/legged", name="legged/geomid")
         stage.node({}, "-r", "__ns:=/plain", name="plain/geomid")
         stage.node({"lifecycle": "autostart"}, "-r", "__ns:=/managed", name="managed/geomid")
-        stage.observer.spin(SETTLING)
-        yield {
-            "everything": opened_by(stage.observer, "geomid", "/"),
-            "imu": opened_by(stage.observer, "geomid", "/legged"),
-            "defaults": opened_by(stage.observer, "geomid", "/plain"),
-            "managed": opened_by(stage.observer, "geomid", "/managed"),
-        }
+        yield stage.observer.settled(
+            lambda: {
+                kind: opened_by(stage.observer, "geomid", namespace)
+                for kind, namespace in (
+                    ("everything", "/"),
+                    ("imu", "/legged"),
+                    ("defaults", "/plain"),
+                    ("managed", "/managed"),
+                )
+            }
+        )
 
 
 def full(name: str, namespace: str = "") -> str:
