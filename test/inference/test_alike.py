@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 from estimation.arms import Truth, efforts, motion, samples
-from model.robots import urdf
+from estimation.test_link_priors import HEAVIER, THIGHS, quadruped
 
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.alike_parts import alike_parts
-from geomid_ros.model.measurement_model import MeasurementModel
-from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
-THIGHS = ("FL_thigh", "FR_thigh", "RL_thigh", "RR_thigh")
-HEAVIER, NOISE = 1.4, 0.05
-
-
-@cache
-def quadruped() -> MeasurementModel:
-    """A Go2 that hangs from its trunk."""
-    return MeasurementModel(Robot(urdf("go2.urdf")), [])
+NOISE = 0.05
 
 
 def design(links: FloatArray, legs: tuple[str, ...]) -> Design:
