@@ -12,6 +12,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.effects import OnRobot
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES, REST_SPEED
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -130,7 +131,7 @@ def first_fit(model: MeasurementModel, summary: RowSummary, given: FloatArray | 
 
     This is the non-negative least-squares fit of each joint's effects alone. No CAD file knows a joint's friction, and
     the metric on positive coefficients is relative, so that their prior must have the right order of magnitude. If a
-    joint hardly moves, the URDF's friction stays.
+    joint hardly moves, the URDF's friction stays, and effects on the whole robot stay at the URDF's values.
 
     Raises:
         InputError: the ``given`` prior ``(D,)`` is no point of the model's manifold.
@@ -140,14 +141,16 @@ def first_fit(model: MeasurementModel, summary: RowSummary, given: FloatArray | 
     sizes = channel_sizes(summary, model.dimension)
     factors, counts = summary.factors(), np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
     described = model.described_coefficients
-    for group in _sharing_effects(model):
+    local = first + np.flatnonzero([c.place != OnRobot() for c in model.coefficients])
+    for group in _sharing_effects(model, local):
         channel_columns = [model.channels[index].columns for index in group]
         channel_factors = [triangular(np.concatenate(factors[index :: len(sizes)])) for index in group]
         columns, factor = _together(channel_columns, channel_factors, sizes[group])
-        links, chosen = columns[columns < first], columns[columns >= first]
-        remainder = factor[:, -1] - factor[:, : len(links)] @ parameters[links]
+        fitted = np.isin(columns, local)
+        chosen, known = columns[fitted], columns[~fitted]
+        remainder = factor[:, -1] - factor[:, :-1][:, ~fitted] @ parameters[known]
         parameters[chosen] = _fitted_effects(
-            np.column_stack([factor[:, len(links) : -1], remainder]),
+            np.column_stack([factor[:, :-1][:, fitted], remainder]),
             float(np.sum(counts[group])),
             float(np.mean(sizes[group])),
             chosen < first + model.positives,
@@ -156,10 +159,8 @@ def first_fit(model: MeasurementModel, summary: RowSummary, given: FloatArray | 
     return parameters
 
 
-def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
-    """Groups of channels with effects; channels that share an effect are in one group."""
-    first = len(model.nominal_inertias)
-    columns = range(first, model.dimension)
+def _sharing_effects(model: MeasurementModel, columns: IntArray) -> list[list[int]]:
+    """Groups of channels with effects of these columns; channels that share one are in one group."""
     has = np.array([np.isin(columns, channel.columns) for channel in model.channels])
     groups: list[list[int]] = []
     for channel in np.flatnonzero(np.any(has, axis=1)).tolist():

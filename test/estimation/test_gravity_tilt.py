@@ -8,6 +8,7 @@ import pytest
 
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import _size
+from geomid_ros.estimation.starting_point import first_fit
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.model.effects import Quantity, identifiable
@@ -16,7 +17,7 @@ from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
-from .arms import Case, Motion, Truth, arm, efforts, identifier, shipped
+from .arms import Case, Motion, Truth, arm, efforts, identifier, shipped, summary
 
 TILT = np.array([0.02, -0.03])
 DOWN = np.array([0.0, 0.0, -9.81])
@@ -77,6 +78,18 @@ def test_a_wrench_sensor_feels_it_too() -> None:
             for sign in (1.0, -1.0)
         )
         np.testing.assert_allclose(column, (ahead - behind) / 2e-4, atol=1e-6)
+
+
+def test_before_the_solve_it_ties_no_joints_together() -> None:
+    """Effects of joints start where they do without it: those of each joint are fitted alone, of however many."""
+    case = with_tilt(arm("arm3", 0, seconds=2), TILT)
+    rows, tilts = case.model.rows(case.samples), 2
+    links = len(case.model.nominal_inertias)
+    without = MeasurementModel(case.model.robot, case.effects)
+    both = first_fit(case.model, summary(case.model, rows.coefficients, rows.targets), None)
+    alone = first_fit(without, summary(without, rows.coefficients[:, :, :-tilts], rows.targets), None)
+    np.testing.assert_allclose(both[links:-tilts], alone[links:], rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(both[-tilts:], 0.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
