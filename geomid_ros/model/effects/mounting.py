@@ -13,7 +13,6 @@ from geomid_ros.model.effects.parameters import COM_ENTRIES, ParameterForm, Valu
 from geomid_ros.types import FloatArray
 
 _NAMES = ("tilt_x", "tilt_y")
-_TILT_STEP = 1e-6  # [rad]
 
 
 class GravityTilt(GravityEffect):
@@ -38,8 +37,8 @@ class GravityTilt(GravityEffect):
     default_prior_std = (0.02, 0.02)  # [rad] about a degree
 
     def slopes(self, gravity: FloatArray, coefficients: FloatArray) -> FloatArray:
-        ends = [[_turned(gravity, coefficients + sign * step) for sign in (1, -1)] for step in _TILT_STEP * np.eye(2)]
-        return np.array([(ahead - behind) / (2.0 * _TILT_STEP) for ahead, behind in ends]).T
+        turn = pin.Jexp3(np.append(coefficients, 0.0))[:, : self.count]
+        return np.asarray(pin.skew(_turned(gravity, coefficients)) @ turn)
 
     @classmethod
     def tilted_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:
