@@ -12,7 +12,7 @@ from numpy.linalg import LinAlgError
 from geomid_ros.estimation.channel_products import ChannelProducts, SelectedProducts
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
-from geomid_ros.estimation.tolerances import LEAST_DECREASE, ROUNDS
+from geomid_ros.estimation.tolerances import LEAST_DECREASE, ROUNDS, SETTLED
 from geomid_ros.geometry import compiled, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
@@ -20,7 +20,6 @@ from geomid_ros.types import FloatArray
 
 _STEPS = 40
 _RADIUS = 16.0  # of the first step: when an effect is added or removed, others move as far as its size
-_SETTLED = 0.05  # of the logarithm of a standard deviation
 LEAST_SHARE = 1e-10
 """Least residual sum of squares, as a fraction of the target's."""
 
@@ -125,7 +124,7 @@ def fit_scales(
         if likely is None:
             return ProfileFit(trial, point, scales, solution.evaluation)
         scales = likely(point, solution.evaluation.information + np.diag(trial.weights), scales)
-        if np.all(np.abs(np.log(scales) - np.log(before)) < _SETTLED):  # an inflation may begin at infinity
+        if np.all(np.abs(np.log(scales) - np.log(before)) < SETTLED):  # an inflation may begin at infinity
             break
     trial = objective(scales)
     return ProfileFit(trial, point, scales, trial.evaluate(point))
