@@ -27,8 +27,6 @@ MASS_FACTOR = 4.0
 """Largest plausible factor between the masses of a URDF and the true ones: a larger gain is a unit."""
 TILT = np.radians(25.0)
 """Largest plausible tilt of a base, and error of a joint's zero [rad]."""
-STEP = 1e-4
-"""Step of derivatives by positions [rad, m]."""
 ROUNDS = 3
 """Rounds of a fit that is relinearised at its result."""
 

@@ -13,12 +13,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import MASS_FACTOR, STEP, TILT, FaultCandidate
+from geomid_ros.checks.candidates import MASS_FACTOR, TILT, FaultCandidate
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
 from geomid_ros.checks.effort_data import STRETCHES, EffortData, EvidenceGain, by_channel, moving
 from geomid_ros.checks.evidence import LEAST_SIGMA, MOST, PRIOR_STD, Evidence, evidence, payload_factor
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import STDS_OF_95
+from geomid_ros.model.dynamics import STEP
 from geomid_ros.model.samples import SIGN, SMOOTH_SIGN
 from geomid_ros.types import BoolArray, FloatArray
 

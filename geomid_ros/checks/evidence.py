@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
-from geomid_ros.estimation.tolerances import ROUNDS
+from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold
 from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
@@ -29,7 +29,6 @@ LARGEST_RESIDUAL = 0.6
 """Largest residual of a channel that follows the model, as a fraction of its standard deviation."""
 MOST = 0.5
 """Fraction of a whole: more is most of it."""
-_SETTLED = 1e-3
 PRIOR_STD = 0.7
 """Prior standard deviation of links (a geodesic distance), of gains, and of curves in units of a channel: a mass may be
 half or twice that of the URDF."""
@@ -211,7 +210,7 @@ def evidence(
         friction = mean[rank:].reshape(tolerated.shape)[:, -FRICTION:]
         dry = np.maximum(np.sum(friction[:, 2:4], axis=1), 0.0)
         previous, sigmas = sigmas, _sigmas(squares, counts, dry, least, sigmas)
-        if np.all(np.abs(np.log(sigmas / previous)) < _SETTLED):
+        if np.all(np.abs(np.log(sigmas / previous)) < SETTLED):
             break
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
     noise = float(np.sum(counts * np.log(2.0 * np.pi * sigmas**2)))

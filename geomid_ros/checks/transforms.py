@@ -15,11 +15,12 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, STEP, TILT, FaultCandidate, is_probable
+from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, TILT, FaultCandidate, is_probable
 from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence, follows
 from geomid_ros.checks.sample_reservoir import FEWEST
+from geomid_ros.model.dynamics import STEP
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray
