@@ -1,9 +1,11 @@
 """Plant faults in sound recordings, and count what is named right, wrong, or not at all.
 
-    python -m benchmarks.corruption [RECORDING ...] [--fault TEXT] [--clean] [--out corruption.json]
+    python -m benchmarks.corruption [RECORDING ...] [--fault TEXT] [--clean [--parts SECONDS]]
+        [--out corruption.json]
 
 With --clean nothing is planted: every sound recording, measured and simulated, is judged whole, each of its halves by
-itself, and with a rest of 2 s in front; whatever is doubted is a false doubt.
+itself, and with a rest of 2 s in front; whatever is doubted is a false doubt. With --parts each is judged in parts of
+so many seconds instead: a short recording shows little of its own units, signs and zeros.
 
 Every fault is written into a bag, which is read as ``geomid identify`` reads it. Reads measured recordings in
 ../shared/data, which are not part of this repository; without them only the simulated arms are tried.
@@ -112,20 +114,25 @@ def cases(names: list[str], text: str) -> Iterator[tuple[str, Recording, Fault]]
                 yield name, recording, fault
 
 
-def sound(name: str) -> Iterator[tuple[str, Recording]]:
-    """A recording in which nothing is wrong: whole, its halves, and with a rest in front."""
+def sound(name: str, seconds: float | None) -> Iterator[tuple[str, Recording]]:
+    """A recording in which nothing is wrong: whole, its halves, and with a rest in front; or in parts of so many
+    seconds."""
     whole = recording_of(name)
+    if seconds is not None:
+        count = int((whole.stamps[-1] - whole.stamps[0]) / seconds)
+        yield from ((f"part {k + 1}", whole.part(k / count, (k + 1) / count)) for k in range(count))
+        return
     yield "whole", whole
     yield "first half", whole.part(0.0, 0.5)
     yield "second half", whole.part(0.5, 1.0)
     yield "rest in front", rested(whole, REST)
 
 
-def doubts(names: list[str]) -> list[dict[str, Any]]:
+def doubts(names: list[str], seconds: float | None) -> list[dict[str, Any]]:
     """Judge sound recordings; returns what is said of each."""
     kept = []
     for name in names:
-        for part, recording in sound(name):
+        for part, recording in sound(name, seconds):
             with tempfile.TemporaryDirectory(prefix="corruption-") as folder:
                 session = judged(recording, recording.write(Path(folder) / "bag"))
             said = "; ".join(finding.sentence for finding in session.review.findings)
@@ -145,7 +152,7 @@ def main() -> None:
     drawn = [f"{robot}-{seed}" for robot in ROBOTS for seed in range(SEEDS)] if arguments.clean else [f"{RAIL}-0"]
     names = arguments.recordings or [*there, *drawn]
     begin = time.perf_counter()
-    kept = doubts(names) if arguments.clean else planted(names, arguments.fault)
+    kept = doubts(names, arguments.parts) if arguments.clean else planted(names, arguments.fault)
     print(f"{len(kept)} recordings in {time.perf_counter() - begin:.0f} s")
     if arguments.out:
         arguments.out.write_text(json.dumps(kept, indent=2))
@@ -175,6 +182,7 @@ def _parsed() -> argparse.Namespace:
     parser.add_argument("recordings", nargs="*", metavar="RECORDING", help=names)
     parser.add_argument("--fault", default="", help="only those with this in their names")
     parser.add_argument("--clean", action="store_true", help="judge sound recordings")
+    parser.add_argument("--parts", type=float, metavar="SECONDS", help="with --clean: judge parts of them")
     parser.add_argument("--out", type=Path, help="file for every answer (JSON)")
     return parser.parse_args()
 
