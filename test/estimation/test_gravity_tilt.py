@@ -80,6 +80,13 @@ def test_a_wrench_sensor_feels_it_too() -> None:
         np.testing.assert_allclose(column, (ahead - behind) / 2e-4, atol=1e-6)
 
 
+def test_its_slopes_are_those_of_turned_gravity() -> None:
+    """Of a large tilt, too."""
+    tilt, steps = np.array([0.4, -0.7]), 1e-6 * np.eye(2)
+    expected = np.array([(gravity(tilt + step) - gravity(tilt - step)) / 2e-6 for step in steps]).T
+    np.testing.assert_allclose(GravityTilt().slopes(DOWN, tilt), expected, atol=1e-7)
+
+
 def test_before_the_solve_it_ties_no_joints_together() -> None:
     """Effects of joints start where they do without it: those of each joint are fitted alone, of however many."""
     case = with_tilt(arm("arm3", 0, seconds=2), TILT)
