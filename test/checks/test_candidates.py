@@ -129,12 +129,3 @@ def test_samples_that_repeat_others_are_not_as_many_as_independent_ones() -> Non
     once, repeated = (tried(each, [0.0, 1.0, *[0.0] * 5], [1]) for each in (of, thrice))
     assert repeated.gain < 0.8 * once.gain
     assert repeated.gain == pytest.approx(np.sum(repeated.channel_gains))
-
-
-def test_residuals_far_below_the_least_credible_noise_do_not_correlate() -> None:
-    """Those of a simulated recording are smooth, but samples with noise as large as may be would be independent."""
-    of = subject()
-    smooth = np.sin(np.linspace(0.0, 6.0, len(of.samples)))[:, None] * of.predicted.std(axis=0)
-    correlations = [of.with_efforts(of.predicted + size * smooth).nominal.correlation for size in (1e-3, 3.0)]
-    assert abs(correlations[0]) < 0.1
-    assert correlations[1] > 0.5
