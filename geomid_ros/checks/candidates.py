@@ -22,7 +22,7 @@ from geomid_ros.inference.probability import posterior_probabilities
 from geomid_ros.types import FloatArray, IntArray
 
 PROBABLE = 0.9
-"""Least probability of a named cause."""
+"""Least probability of a named cause. A recording counts as many independent samples as the shortest one checked."""
 MASS_FACTOR = 4.0
 """Largest plausible factor between the masses of a URDF and the true ones: a larger gain is a unit."""
 TILT = np.radians(25.0)
@@ -89,15 +89,8 @@ class CandidateTest:
 
     @property
     def gain(self) -> float:
-        """Gain of log evidence [nats]."""
-        gain = self.fit.log_evidence - self.subject.nominal.log_evidence
-        return self.independent_samples * gain / len(self.subject.samples)
-
-    @property
-    def independent_samples(self) -> float:
-        """Number of independent samples that the subject's count as, by the correlation of successive residuals; no
-        more than the fewest checked, as a model's errors recur."""
-        return min(FEWEST, len(self.subject.samples) * (1.0 - self.fit.correlation) / (1.0 + self.fit.correlation))
+        """Gain of log evidence per sample [nats]."""
+        return (self.fit.log_evidence - self.subject.nominal.log_evidence) / len(self.subject.samples)
 
     @property
     def name(self) -> tuple[str, tuple[str, ...]]:
@@ -126,9 +119,8 @@ class CandidateTest:
 
     @property
     def channel_gains(self) -> FloatArray:
-        """Gain of each channel [nats] ``(C,)``."""
-        ratios = self.subject.nominal.sigmas[self.candidate.sources] / self.fit.sigmas
-        return np.asarray(self.independent_samples * np.log(ratios))
+        """Gain of each channel per sample [nats] ``(C,)``."""
+        return np.asarray(np.log(self.subject.nominal.sigmas[self.candidate.sources] / self.fit.sigmas))
 
     @cached_property
     def repeats(self) -> bool:
@@ -237,7 +229,7 @@ def _most_probable(tried: Sequence[CandidateTest], count: int) -> list[Candidate
 
 
 def is_probable(gain: float, count: int) -> bool:
-    """True if one of ``count`` causes is probable, with a gain of log evidence [nats]."""
+    """True if one of ``count`` causes is probable, with a gain of log evidence per sample."""
     return bool(probabilities([gain], count)[0] > PROBABLE)
 
 
@@ -245,7 +237,7 @@ def probabilities(gains: Sequence[float], count: int) -> FloatArray:
     """Probabilities ``(k + 1,)`` of causes and, last, of none, whose prior probability is that of all causes together.
 
     Args:
-        gains: of log evidence ``(k,)`` [nats].
+        gains: of log evidence per sample ``(k,)``.
         count: number of causes that were tried.
     """
-    return posterior_probabilities(-2.0 * np.append(gains, np.log(count)))
+    return posterior_probabilities(-2.0 * np.append(FEWEST * np.array(gains), np.log(count)))

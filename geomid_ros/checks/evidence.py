@@ -46,7 +46,6 @@ class Evidence:
         friction: ``(C, 5)`` its coefficients, in standard deviations of the measured channels.
         precision: ``(r + C k, r + C k)`` of the links' errors and the channels' separate coefficients; 1 for those
             fixed at zero.
-        correlation: of successive residuals.
         estimates, estimate_deviations: ``(k,)`` sizes of a fault that were estimated with it, and their standard
             deviations.
     """
@@ -57,7 +56,6 @@ class Evidence:
     link_errors: FloatArray
     friction: FloatArray
     precision: FloatArray
-    correlation: float
     estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
     estimate_deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -142,15 +140,6 @@ class Unknowns:
         pairs = zip(self.affected_by, self.columns, strict=True)
         return np.stack([columns[:, : len(felt)] @ errors[felt] for felt, columns in pairs], axis=1)
 
-    def explained(self, coefficients: FloatArray, units: FloatArray) -> FloatArray:
-        """Efforts ``(N, C)`` of the unknowns at ``coefficients (r + C k,)``; links' columns are divided by ``units
-        (C,)``."""
-        explained = np.empty(self.sticking.shape)
-        for channel, (felt, place, columns) in enumerate(zip(self.affected_by, self.places, self.columns, strict=True)):
-            scales = np.where(np.arange(len(place)) < len(felt), 1.0 / units[channel], 1.0)
-            explained[:, channel] = columns @ (scales * coefficients[place])
-        return explained
-
     def with_target(self, target: FloatArray, units: FloatArray) -> ChannelProducts:
         """Products of the columns and of a ``target (N, C)``, of all channels in motion, then where their joints stick;
         links' columns are divided by ``units (C,)``."""
@@ -214,7 +203,6 @@ def evidence(
             break
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
     noise = float(np.sum(counts * np.log(2.0 * np.pi * sigmas**2)))
-    deviations = np.where(unknowns.sticking > 0.0, sigmas[1], sigmas[0])
     log_determinant = spd.log_determinant(posterior) - float(np.sum(np.log(precision[~fixed])))
     return Evidence(
         log_evidence=-0.5 * (weighted + noise + log_determinant),
@@ -223,17 +211,7 @@ def evidence(
         link_errors=mean[:rank],
         friction=friction,
         precision=posterior,
-        correlation=_correlation(
-            target - unknowns.explained(mean, np.broadcast_to(units, target.shape[1])), deviations
-        ),
     )
-
-
-def _correlation(residuals: FloatArray, deviations: FloatArray) -> float:
-    """Correlation of successive residuals ``(N, C)`` in units of the noise's ``deviations``; residuals smaller than the
-    noise correlate less."""
-    scaled = residuals / deviations
-    return float(np.sum(scaled[1:] * scaled[:-1])) / max(float(np.sum(scaled**2)), scaled.size)
 
 
 def _sigmas(squares: FloatArray, counts: FloatArray, dry: FloatArray, least: float, before: FloatArray) -> FloatArray:

@@ -19,7 +19,6 @@ from geomid_ros.checks.candidates import MASS_FACTOR, ROUNDS, TILT, FaultCandida
 from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence, follows
-from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.model.dynamics import STEP
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.model.samples import REST_SPEED, SIGN, SMOOTH_SIGN, Samples
@@ -488,7 +487,7 @@ OF_MOTION = (_times, _names, _zeros, _axes)
 def transforms(subject: EffortData) -> tuple[list[FaultCandidate], int]:
     """Return all candidates that are worth evaluating on a subject, and the number that they are chosen from."""
     # If efforts are almost explained, another reading of the motion cannot gain enough.
-    possible_gain = FEWEST * float(np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)))
+    possible_gain = float(np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)))
     rows = (*OF_EFFORTS, *OF_MOTION) if is_probable(possible_gain, 1) else OF_EFFORTS
     chosen, count = list[FaultCandidate](), 0
     for row in rows:

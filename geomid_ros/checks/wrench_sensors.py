@@ -79,7 +79,7 @@ class WrenchSensorCheck:
         tried += self._delayed()
         best, reference, cause = max(tried, key=lambda one: one[0].log - one[1].log)
         remaining = nominal.sigmas * best.sigmas / reference.sigmas
-        if is_probable(FEWEST * (best.log - reference.log), len(tried)) and np.all(remaining < LARGEST_RESIDUAL):
+        if is_probable(best.log - reference.log, len(tried)) and np.all(remaining < LARGEST_RESIDUAL):
             return [RecordingFault(cause=cause)]
         return self._sign_or_unit(nominal.slope) if nominal.sigmas[0] < LARGEST_RESIDUAL else []
 

@@ -33,7 +33,7 @@ def test_the_more_causes_are_tried_the_more_one_has_to_explain() -> None:
     """By Bayes' rule: n causes of equal odds, each of which is one in 2 n at first."""
     for count in (10, 1000):
         odds = PROBABLE / (1.0 - PROBABLE)
-        gain = np.log(odds * count)
+        gain = np.log(odds * count) / FEWEST
         assert probabilities([gain], count)[0] == pytest.approx(PROBABLE)
 
 
@@ -118,14 +118,3 @@ def test_what_is_hidden_still_says_that_something_is_wrong() -> None:
     assert decision.finding is None
     (doubt,) = contradicted(decision.unconfirmed, COUNT)
     assert doubt.places == (of.names[1],)
-
-
-def test_samples_that_repeat_others_are_not_as_many_as_independent_ones() -> None:
-    """Three times each sample is three times the log likelihood, but correlates residuals by 2/3: (1 - 2/3) / (1 + 2/3)
-    of three times as many are 3/5 as many."""
-    of = subject().select(slice(None, None, 3))
-    assert len(of.samples) < 2 * FEWEST
-    thrice = of.select(np.repeat(np.arange(len(of.samples)), 3))
-    once, repeated = (tried(each, [0.0, 1.0, *[0.0] * 5], [1]) for each in (of, thrice))
-    assert repeated.gain < 0.8 * once.gain
-    assert repeated.gain == pytest.approx(np.sum(repeated.channel_gains))
