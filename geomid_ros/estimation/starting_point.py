@@ -12,7 +12,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.effects import OnRobot
+from geomid_ros.model.effects import GravityEffect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES, REST_SPEED
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -131,7 +131,7 @@ def first_fit(model: MeasurementModel, summary: RowSummary, given: FloatArray | 
 
     This is the non-negative least-squares fit of each joint's effects alone. No CAD file knows a joint's friction, and
     the metric on positive coefficients is relative, so that their prior must have the right order of magnitude. If a
-    joint hardly moves, the URDF's friction stays, and effects on the whole robot stay at the URDF's values.
+    joint hardly moves, the URDF's friction stays; and so does gravity, which would tie the fits of all joints together.
 
     Raises:
         InputError: the ``given`` prior ``(D,)`` is no point of the model's manifold.
@@ -141,7 +141,7 @@ def first_fit(model: MeasurementModel, summary: RowSummary, given: FloatArray | 
     sizes = channel_sizes(summary, model.dimension)
     factors, counts = summary.factors(), np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
     described = model.described_coefficients
-    local = first + np.flatnonzero([c.place != OnRobot() for c in model.coefficients])
+    local = first + np.flatnonzero([not isinstance(c.effect, GravityEffect) for c in model.coefficients])
     for group in _sharing_effects(model, local):
         channel_columns = [model.channels[index].columns for index in group]
         channel_factors = [triangular(np.concatenate(factors[index :: len(sizes)])) for index in group]
