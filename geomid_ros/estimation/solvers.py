@@ -23,6 +23,7 @@ _HIDDEN = 1e-10
 _ROUNDING = 1e-13
 _NEARLY = 0.99  # of the radius: a step that long counts as one to the boundary
 _REMEMBERED = 6  # last rounds of a fixed-point iteration
+_FURTHEST = 30.0  # times the last round's move: farther away g is not linear
 GRADIENT = 1e-8
 """Gradient norm at which a solve ends, as a fraction of the objective's scale."""
 _, _FLAT, _SETTLED, _ROUNDED = ENDS = (
@@ -207,4 +208,7 @@ class Extrapolation:
         ends, moves = (np.array(arrays).T for arrays in zip(*self._rounds, strict=True))
         coefficients, *_ = np.linalg.lstsq(np.diff(moves), moves[:, -1], rcond=ROUNDING)
         correction = np.diff(ends) @ coefficients
+        if not np.max(np.abs(correction)) <= _FURTHEST * np.max(np.abs(ended - begun)):
+            self._rounds.clear()
+            return ended
         return np.asarray(ended - correction)

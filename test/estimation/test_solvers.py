@@ -235,3 +235,10 @@ def test_at_the_fixed_point_it_stays() -> None:
     extrapolation, at = Extrapolation(), np.array([1.0, -2.0])
     for _ in range(10):
         np.testing.assert_array_equal(extrapolation.next(at, at), at)
+
+
+def test_what_is_not_linear_at_all_is_not_extrapolated_far() -> None:
+    extrapolation = Extrapolation()
+    extrapolation.next(np.array([0.0]), np.array([1.0]))
+    ended = np.array([2.0])
+    np.testing.assert_array_equal(extrapolation.next(np.array([1.001]), ended), ended)
