@@ -35,8 +35,8 @@ _SENTENCES = {
     "compensation only. Let its motors move it, and record their measured efforts",
     "gravity": "gravity acts {how} than configured: {settings} fits ({check})",
     "level": "the efforts are explained much better if gravity is {vector} in the base frame: the base may be tilted "
-    "by {angle:.1f} degrees. Measure it; correct it with --gravity {vector} (the parameter gravity), or let it be "
-    "identified (gravity_tilt among the candidates)",
+    "by {angle:.1f} degrees. With gravity_tilt among the candidates that is identified; better, measure it, and "
+    "correct it with --gravity {vector} (the parameter gravity)",
     "compensated": "gravity is not in the efforts: they are compensated for it, or there is none. Record measured "
     "efforts without compensation, or write {settings}; then only accelerations identify masses",
     "offset": "efforts are shifted {when}, independently of the motion: {sizes}; check for a zeroed sensor or an "
