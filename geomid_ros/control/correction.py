@@ -196,6 +196,7 @@ class Correction:
             raise InputError(f"joint '{unlimited[0]}' has no effort limit in the URDF; adaptation is bounded by it")
         parts = [efforts.of_body(body), *([efforts.of_coefficients()] if friction else [])]
         self._parts = [rows_of for rows_of, _ in parts]
+        self._coefficients = [coefficient for _, coefficient, _ in efforts.coefficients] if friction else []
         self.adaptation = Adaptation(np.concatenate([identified for _, identified in parts]), heaviest)
         self.delay = 0.0
         """Delay of the loop [s] that the gain is set for: age of the data plus the time between them, the longest of
@@ -205,6 +206,12 @@ class Correction:
         self._faults: list[str] = []  # of the last reading
         self._received = self._sent = -np.inf
         self._last = np.zeros(len(joints))
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Present values of the coefficients that adapt, by their names with joints and units."""
+        names = [f"{c.effect.name} {c.parameter} of {c.place_name} [{c.unit}]" for c in self._coefficients]
+        return dict(zip(names, self.adaptation.point.positives.tolist(), strict=True))
 
     def continue_from(self, other: Correction) -> None:
         """Continue from the last efforts of another correction, to change gradually."""

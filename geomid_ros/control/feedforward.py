@@ -60,11 +60,12 @@ class MotorEfforts:
             advice = "if they stay at zero, name them in locked_joints (--lock)"
             raise InputError(f"{source}: does not contain {','.join(missing)}; {advice}")
         self._robot = robot
-        self._coefficients = [
-            (coefficient.effect, coefficient.place, float(value))
+        self.coefficients = [
+            (coefficient.effect, coefficient, float(value))
             for coefficient, value in zip(model.coefficients, parameters[len(model.nominal_inertias) :], strict=True)
             if isinstance(coefficient.effect, MotionEffect) and coefficient.positive and value > 0.0
         ]
+        """Positive coefficients of the effects of motion, such as friction: effect, coefficient and value."""
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains, self._load_gains = gains[self._order], model.drive_gains[self._order]
         self._dynamics = InverseDynamics(model, motor_parameters(model, parameters))
@@ -100,17 +101,17 @@ class MotorEfforts:
         return rows, self._dynamics.inertias[body]
 
     def of_coefficients(self) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-        """Return a function of motions ``(3, joints)`` that computes the columns ``(joints, K)`` of the positive
-        coefficients of the effects of motion, such as friction, in these efforts; and the coefficients ``(K,)``."""
+        """Return a function of motions ``(3, joints)`` that computes the columns ``(joints, K)`` of
+        :attr:`coefficients` in these efforts; and their values ``(K,)``."""
         ordered = np.empty((3, len(self._order)))
 
         def columns(motion: FloatArray) -> FloatArray:
             ordered[:, self._order] = motion
             state = Motion(ordered)
-            efforts = [effect.efforts(state, place) for effect, place, _ in self._coefficients]
+            efforts = [effect.efforts(state, coefficient.place) for effect, coefficient, _ in self.coefficients]
             return np.asarray(np.array(efforts).reshape(-1, len(self._order)).T[self._order] / self._gains[:, None])
 
-        return columns, np.array([value for _, _, value in self._coefficients])
+        return columns, np.array([value for _, _, value in self.coefficients])
 
 
 def with_efforts(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float) -> Trajectory:

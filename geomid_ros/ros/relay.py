@@ -167,7 +167,7 @@ class AdaptationNode:
             self._node.get_logger().error(f"adaptation of '{self._link}' is {sentence}")
         self._said = reason
         name = f"{self._node.get_fully_qualified_name().lstrip('/')}: adaptation of {self._link}"
-        values = {"mass change": change, "delay [ms]": 1e3 * self._correction.delay}
+        values = {"mass change": change, "delay [ms]": 1e3 * self._correction.delay, **self._correction.coefficients}
         array = DiagnosticArray(status=[status_message(name, level, sentence, values)])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(array)

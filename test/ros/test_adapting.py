@@ -198,3 +198,12 @@ def test_what_is_carried_stays_with_a_newer_estimate(stage: Stage) -> None:
     stage.observer.wait_for(is_used, "the newer estimate")
     lockstep.run(3)
     assert min(message.inertia.m for message in lockstep.inertias[before:]) > links[-1]["mass"] + 0.2
+    statuses = stage.observer.collect(DiagnosticArray, "/diagnostics")
+
+    def adapted() -> dict[str, float]:
+        lockstep.tick()
+        values = [value for array in statuses[-1:] for value in array.status[0].values]
+        return {value.key: float(value.value) for value in values if "friction" in value.key}
+
+    stage.observer.wait_for(adapted, "what else adapts")
+    assert adapted().keys() == {f"viscous_friction coefficient of {joint} [N m s/rad]" for joint in JOINTS[1:]}
