@@ -59,7 +59,7 @@ def verdict(
     degraded_channels: Sequence[str] = (),
     unmeasured: Sequence[str] = (),
     effort_faults: Sequence[str] = (),
-    implausible_links: Sequence[str] = (),
+    doubts: Sequence[str] = (),
 ) -> Verdict:
     """Evaluate a result.
 
@@ -70,7 +70,7 @@ def verdict(
         degraded_channels: the channels that it predicts worse than the URDF does, see :func:`worse_channels`.
         unmeasured: the joints whose efforts are missing.
         effort_faults: peculiarities of the messages, in sentences.
-        implausible_links: implausible links, in sentences.
+        doubts: further reasons not to use it, in sentences.
     """
     warnings = [
         f"'{channel}' is predicted worse than by the URDF: the motion is not informative enough there, or an effect "
@@ -82,7 +82,7 @@ def verdict(
         warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
     stopped = "" if estimate.converged else estimate.reason
     judged = recording_verdict(findings, stopped, warnings)
-    beyond = (*implausible_mass(estimate, model), *implausible_links)
+    beyond = (*implausible_mass(estimate, model), *doubts)
     return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *beyond)) if beyond else judged
 
 

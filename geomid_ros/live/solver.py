@@ -104,6 +104,8 @@ class Solver:
         self.solves = 0  # number of estimates so far
         self._solved_rows = 0
         self._unchecked: deque[tuple[int, Samples]] = deque(maxlen=MOST_WAITING)  # with the numbers of the next ones
+        self._later: deque[Samples] = deque(maxlen=MOST_WAITING)  # since the last estimate, until one is confirmed
+        session.review.await_confirmation()
         self._pace = Pace()
         self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the latest, with its epoch and rows
         self.changed_sensors: tuple[str, ...] = ()  # topics of sensors whose rows are left out
@@ -161,6 +163,8 @@ class Solver:
             self.changed_sensors = ()
             self.estimate = None
             self._earlier.clear()
+            self._later.clear()
+            self._session.review.await_confirmation()
             self.problem = ""
             self._solve_afresh()
 
@@ -274,10 +278,13 @@ class Solver:
         self._session.identifier.settle(detector.unchanged_before(suspect))
         if samples:
             with self._failures.counted("a check of the recording failed"):
-                check.add(Samples.concatenate(samples))
+                check.add(Samples.concatenate([piece for _, piece in samples]))
+            if self._session.review.unconfirmed and self._earlier:
+                self._later += [piece for end, piece in samples if end - len(piece) >= self._earlier[-1][0]]
 
-    def _leave_out_carried(self, detector: ChangeDetector) -> list[Samples]:
-        """Leave out the rows with a payload, and return the unchecked samples that are known to be without."""
+    def _leave_out_carried(self, detector: ChangeDetector) -> list[tuple[int, Samples]]:
+        """Leave out the rows with a payload, and return the unchecked samples that are known to be without, with the
+        numbers of the next ones."""
         identifier, known, judged = self._session.identifier, detector.weighed_before, detector.searched_until
         self._session.carried = None if detector.payload is None else detector.payload.memory
         if self.payload is not None:
@@ -289,7 +296,7 @@ class Solver:
             judged = known
         unchecked = self._unchecked
         taken = [unchecked.popleft() for _ in takewhile(lambda item: item[0] <= judged, tuple(unchecked))]
-        return [samples for end, samples in taken if end <= known]
+        return [piece for piece in taken if piece[0] <= known]
 
     def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
         """Leave out the rows of changed sensors."""
@@ -330,7 +337,9 @@ class Solver:
         try:
             self._session.review.check_description()
             estimate = self._finite(self._session.identifier.solve(warm))
+            before = self.estimate
             if self._keep(estimate, rows, epoch, warm):
+                self._confirm_with_later(before)
                 self._earlier.append((samples, estimate))
                 self._listener.on_estimate(self._session, estimate)
         except Exception as error:  # noqa: BLE001 the last estimate stays; the diagnostics report it
@@ -341,6 +350,12 @@ class Solver:
                     self.problem = f"no estimate: {error}"
             return error if isinstance(error, GeomidError) else GeomidError(str(error))
         return estimate
+
+    def _confirm_with_later(self, before: Estimate | None) -> None:
+        """Let the samples since the estimate ``before``, if there are any, decide whether estimates are confirmed."""
+        if before is not None and self._later:
+            self._session.review.confirm(before, tuple(self._later))
+        self._later.clear()
 
     def _finite(self, estimate: Estimate) -> Estimate:
         if np.all(np.isfinite(estimate.parameters)):

@@ -188,13 +188,15 @@ class Review:
         names = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
         gains = configuration.signals(joints).effort_gains(joints)
         # A separate model: checks run in another thread than rows, and pinocchio's buffers must not be shared.
-        own = model.with_gravity(self._robot.gravity)
-        self.new_check = partial(RecordingCheck, CheckTask(own, gains, names, controller))
+        self._own_model = model.with_gravity(self._robot.gravity)
+        self.new_check = partial(RecordingCheck, CheckTask(self._own_model, gains, names, controller))
         """Creates a check of other recordings of this robot."""
         self.check = self.new_check()
         """Collects all samples, and checks them as a whole."""
         self.findings: tuple[RecordingFault, ...] = ()
         """Suspected faults of the recording as a whole."""
+        self.unconfirmed = ""
+        """Why no later data confirm the estimates of a stream yet; empty if they do, and for recordings."""
         self.settled: list[str] = []
         """Choices made for the user, in sentences."""
         self._kept: tuple[RecordingFault, ...] = ()  # findings on recordings that are checked separately
@@ -238,6 +240,17 @@ class Review:
         samples."""
         self.new_check = partial(self.new_check, run_check=judge)
         self.check = self.new_check()
+
+    def await_confirmation(self) -> None:
+        """Doubt the estimates of a stream until data that came after one confirm it: those from few data may fit these
+        alone."""
+        self.unconfirmed = "no data that came after it have confirmed it yet"
+
+    def confirm(self, estimate: Estimate, later: Sequence[Samples]) -> None:
+        """Confirm estimates of a stream if one predicts ``later`` samples no worse than the URDF does."""
+        worse = worse_channels(self._own_model, later, estimate.predictor)
+        names = ", ".join(f"'{channel}'" for channel in worse)
+        self.unconfirmed = f"the estimate before predicted later data worse than the URDF: {names}" if worse else ""
 
     def judge_validation(self, name: str, check: RecordingCheck, accounts: Mapping[str, Account]) -> None:
         """Remark on a recording that is not fitted; its faults are not those of the other recordings.
@@ -316,7 +329,7 @@ class Review:
             degraded_channels=worse,
             unmeasured=recorded.unmeasured,
             effort_faults=remarks,
-            implausible_links=impossible,
+            doubts=(*impossible, *filter(None, [self.unconfirmed])),
         )
 
     def _in_motion(self, estimate: Estimate, samples: Sequence[Samples], held_out: FloatArray) -> FloatArray:

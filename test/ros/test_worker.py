@@ -7,10 +7,12 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
+from estimation.arms import efforts
 from files.recordings import BAGS
 from monitoring.test_payload_watch import AFTER, BEFORE, MASS, NOISE, RATE, Arm
 
@@ -139,6 +141,21 @@ def test_what_is_carried_is_neither_learned_nor_judged(monkeypatch: pytest.Monke
     times = 1e-9 * np.array(checked)
     assert np.min(times) < BEFORE < AFTER < np.max(times)
     assert not np.any((times > BEFORE) & (times < AFTER))
+
+
+@pytest.mark.parametrize(("is_as_described", "word"), [(False, "usable"), (True, "doubtful")])
+def test_later_data_confirm_an_estimate_or_refute_it(is_as_described: bool, word: str) -> None:
+    """A model from few data may be worse than the URDF on those that follow: until these are known, it is doubtful."""
+    arm, half = Arm(), 1000
+    none = {name: np.zeros_like(values) for name, values in arm.truth.effects.items()}
+    described = replace(arm.truth, links=np.array([body.parameters for body in arm.robot.bodies]), effects=none)
+    measured = arm.measured(arm.truth)
+    if is_as_described:
+        felt = efforts(arm.robot, described, arm.moving)
+        measured = replace(measured, effort=np.concatenate([measured.effort[:half], felt[half:]]))
+    with closing(Watched(NEVER)) as watched:
+        verdicts = [watched.session.review.verdict(watched.take(measured, begin, begin + half)) for begin in (0, half)]
+    assert [verdict.word for verdict in verdicts] == ["doubtful", word]
 
 
 def test_what_is_carried_and_what_was_found_is_known_after_a_crash() -> None:
