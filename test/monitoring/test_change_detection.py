@@ -10,13 +10,13 @@ from scipy.signal import firwin, lfilter
 
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement_model import Rows
-from geomid_ros.monitoring.change_detection import BLOCK, LATE, ChangeDetector, ChannelGap
+from geomid_ros.monitoring.change_detection import _FEWEST, BLOCK, LATE, ChangeDetector, ChannelGap, _Cusum
 from geomid_ros.types import FloatArray
 
 COLUMNS = 12
 BLOCKS = 80
 HALF = BLOCK * BLOCKS // 2
-PERIOD = 20_000_000  # [ns]
+PERIOD, SECOND = 20_000_000, 1_000_000_000  # [ns]
 RISE = 3.0  # what the change adds, in standard deviations of the noise
 DELAY, LONGER = 10, 20  # blocks
 _LOW_PASS = firwin(33, 0.25)
@@ -51,6 +51,11 @@ class Robot:
     def change(self, begin: int = HALF, end: int | None = None) -> None:
         """From one row to another the first parameter is another."""
         self.targets[begin:end] += RISE * self.coefficients[begin:end, 0]
+
+    def roughen(self, times: float, begin: int = HALF, end: int | None = None) -> None:
+        """From one row to another what nothing explains is so many times the noise."""
+        rough = self.targets[begin:end]
+        rough += np.sqrt(times**2 - 1.0) * np.random.default_rng(0).standard_normal(len(rough))
 
     def judged(self, detector: ChangeDetector) -> Iterator[tuple[ChannelGap, ...]]:
         """The gaps after every block."""
@@ -101,18 +106,48 @@ def test_a_change_opens_a_gap(kind: str) -> None:
 
 
 def test_the_gap_says_how_wide_it_is_and_since_when() -> None:
-    widths, begins = [], []
+    """In units of the noise floor, which is the variance of the noise, however few rows there are."""
+    widths, begins, variances = [], [], []
     for seed in range(8):
-        robot = Robot(seed)
+        robot, detector = Robot(seed), new_detector()
         robot.change()
-        detector = new_detector()
         *_, (gap,) = robot.judged(detector)
         assert gap.since is not None
         assert detector.changes == [(gap.since, gap.first_sample)]
         begins.append(gap.since / PERIOD)
         widths.append(gap.times_floor)
+        variances.append(detector._channels[0].noise.variance)
     assert abs(np.median(begins) - HALF) <= BLOCK
     assert np.median(widths) == pytest.approx(np.hypot(1.0, RISE), rel=0.1)
+    assert np.mean(variances) == pytest.approx(1.0, rel=0.05)
+
+
+@pytest.mark.parametrize(("times", "opens"), [(1.3, False), (2.25, True)])
+def test_a_gap_is_about_twice_the_floor(times: float, opens: bool) -> None:
+    """Evidence grows where the mean square is more than twice what is usual."""
+    for seed in range(5):
+        robot = Robot(seed)
+        robot.roughen(times)
+        assert bool(open_blocks(robot)) == opens
+
+
+def test_three_bad_blocks_are_a_gap_since_the_first() -> None:
+    """And two good ones are not its end."""
+    robot, detector, end = Robot(4), new_detector(), HALF + 5 * BLOCK
+    robot.roughen(10.0, HALF, end)
+    since = {block: gap.since for block, gaps in enumerate(robot.judged(detector)) for gap in gaps}
+    opened = [block for block, stamp in since.items() if stamp is not None]
+    assert {since[block] for block in opened} == {PERIOD * (HALF + 1)}
+    assert opened == list(range(BLOCKS // 2 + 2, opened[-1] + 1))
+    assert end // BLOCK + 2 <= opened[-1] + 1 < end // BLOCK + DELAY
+
+
+@pytest.mark.parametrize(("measured", "judged"), [(BLOCK // 2 - 1, False), (BLOCK // 2, True)])
+def test_a_block_of_which_less_than_half_is_measured_says_nothing(measured: int, judged: bool) -> None:
+    robot = Robot(5)
+    robot.roughen(10.0)
+    robot.targets[HALF:].reshape(-1, BLOCK)[:, measured:] = np.nan
+    assert bool(open_blocks(robot)) == judged
 
 
 def test_a_motion_that_shows_new_parameters_opens_none() -> None:
@@ -131,6 +166,7 @@ def test_nothing_is_said_before_it_is_known_what_is_normal() -> None:
     robot.change(BLOCK)
     judged = list(robot.judged(new_detector()))
     assert judged[:12] == 12 * [()]
+    assert all(judged[14:])
     assert all(gap.since is None for gaps in judged for gap in gaps)
 
 
@@ -144,10 +180,16 @@ def test_what_was_undone_closes_the_gap() -> None:
 
 
 def test_a_bump_is_no_gap() -> None:
+    """It is suspect from its first row on, and forgotten soon."""
     for seed in range(5):
-        robot = Robot(seed)
+        robot, detector, behind = Robot(seed), new_detector(), []
         robot.targets[HALF : HALF + BLOCK] += 1e3 * np.sin(np.arange(BLOCK))
-        assert open_blocks(robot) == []
+        for gaps in robot.judged(detector):
+            assert all(gap.since is None for gap in gaps)
+            behind.append(detector.searched_until - detector.unchanged_before([0]))
+        bump = BLOCKS // 2
+        assert behind[bump] == LATE + BLOCK
+        assert behind[bump + 10] == LATE
 
 
 def test_who_forgets_gets_used_to_it() -> None:
@@ -285,3 +327,43 @@ def test_what_was_normal_in_another_kind_of_motion_is_forgotten() -> None:
         assert all(block >= BLOCKS for block in opened)
         found.append(bool(opened) and opened[0] < BLOCKS + DELAY)
     assert np.mean(found) >= 0.7
+
+
+def test_what_was_learned_from_a_payload_is_unlearned() -> None:
+    """It shows after some blocks; those before it came stay."""
+    detector = new_detector()
+    judged, (own,) = Robot(1).judged(detector), detector._channels
+    for _ in range(30):
+        next(judged)
+    factor, rows, came = own._factor, own._rows, detector.searched_until
+    for _ in range(5):
+        next(judged)
+    assert own._rows > rows
+    own.clear_suspicion(came)
+    np.testing.assert_allclose(own._factor.T @ own._factor, factor.T @ factor, atol=1e-6)
+    assert own._rows == rows
+
+
+@pytest.mark.parametrize(
+    ("forgetting", "step", "elapsed"), [(100.0, 20_000_000, 0.8), (50.0, 5 * SECOND, 40.0), (1.0, SECOND, np.inf)]
+)
+def test_what_is_normal_is_forgotten_by_the_time_that_passes(forgetting: float, step: int, elapsed: float) -> None:
+    """A pause counts as no more than a second; enough is kept to know what is normal."""
+    own = _Cusum(Channel(name="joint", unit="N m", columns=np.arange(COLUMNS)), forgetting)
+    stamps = SECOND + step * np.arange(BLOCK)
+    least = 1.0 - BLOCK / (2.0 * _FEWEST * COLUMNS)
+    assert own._remaining(stamps) == pytest.approx(max(np.exp(-elapsed * (BLOCK - 1) / BLOCK / forgetting), least))
+    assert own._remaining(stamps + BLOCK * step) == pytest.approx(max(np.exp(-elapsed / forgetting), least))
+
+
+def test_rows_that_nobody_judges_do_not_fill_the_memory() -> None:
+    """The last are kept: a hundred megabytes, or a block."""
+    wide = ChangeDetector([Channel(name="joint", unit="N m", columns=np.arange(999))])
+    count = 100_000_000 // (8 * 1000)
+    rows = Rows(np.zeros((count + 70, 1, 1)), np.zeros((count + 70, 1)))
+    wide.add(5, np.arange(count + 70), rows)
+    assert len(wide._waiting) == count
+    assert wide._waiting[0][0] == 75
+    huge = ChangeDetector([Channel(name="joint", unit="N m", columns=np.array([10**9]))])
+    huge.add(0, np.arange(100), Rows(np.zeros((100, 1, 1)), np.zeros((100, 1))))
+    assert len(huge._waiting) == BLOCK

@@ -176,17 +176,7 @@ def test_what_was_learned_of_the_robot_is_forgotten_as_time_goes_by() -> None:
     arm = Arm()
     measured, share = arm.measured(arm.truth), 0.9
     rows = arm.model.rows(measured)
-    last = len(arm.robot.bodies) - 1
-    watch = PayloadWatch(
-        arm.model.channels,
-        "tool",
-        slice(10 * last, 10 * last + 10),
-        10 * last + 10,
-        prior_mean=default_payload(arm.model.nominal_inertias.reshape(-1, 10), last),
-        gain=0.0,
-        prior_std=PAYLOAD_PRIOR_STD,
-        threshold=ALARM,
-    )
+    watch = arm.watch()
     same = replace(rows, **{name: values[:10] for name, values in vars(rows).items()})
     learned = []
     for block in range(60):
