@@ -160,16 +160,6 @@ def test_a_goal_goes_on_with_efforts_and_ends_as_it_does_there(rig: Rig) -> None
     assert len(rig.followed) == 1
 
 
-def test_what_is_refused_is_aborted_with_the_reason(rig: Rig) -> None:
-    handle = rig.planner.send(TOO_FAST)
-    assert handle.status == GoalStatus.STATUS_ABORTED
-    assert handle.result.error_code == FollowJointTrajectory.Result.INVALID_GOAL
-    assert "joint 'a' would need 7, more than its limit" in handle.result.error_string
-    assert rig.log.errors == [handle.result.error_string]
-    assert rig.controller.goals == []
-    assert rig.followed == []
-
-
 def test_what_the_controller_aborts_or_cancels_by_itself_is_aborted(rig: Rig) -> None:
     for status in (GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_CANCELED):
         handle = rig.planner.send()
@@ -181,25 +171,21 @@ def test_what_the_controller_aborts_or_cancels_by_itself_is_aborted(rig: Rig) ->
         assert rig.followed[-1] is None
 
 
-def test_an_order_to_cancel_goes_on(rig: Rig) -> None:
+@pytest.mark.parametrize("early", [False, True])
+def test_an_order_to_cancel_goes_on(rig: Rig, early: bool) -> None:
+    """One that comes before the controller's answer, after it; of a goal that has ended nothing is sent."""
     handle = rig.planner.send()
+    if early:
+        rig.planner.cancel(handle)
     sent = rig.controller.accept(0)
-    rig.planner.cancel(handle)
+    if not early:
+        rig.planner.cancel(handle)
     assert sent.cancelled == 1
     assert handle.status == GoalStatus.STATUS_CANCELING  # until the controller has stopped
     sent.ended.fulfil(ended(FollowJointTrajectory.Result.SUCCESSFUL, status=GoalStatus.STATUS_CANCELED))
     assert handle.status == GoalStatus.STATUS_CANCELED
     assert rig.followed[-1] is None
-
-
-def test_an_order_to_cancel_that_comes_before_the_controllers_answer_goes_on_after_it(rig: Rig) -> None:
-    handle = rig.planner.send()
     rig.planner.cancel(handle)
-    sent = rig.controller.accept(0)
-    assert sent.cancelled == 1
-    sent.ended.fulfil(ended(FollowJointTrajectory.Result.SUCCESSFUL, status=GoalStatus.STATUS_CANCELED))
-    assert handle.status == GoalStatus.STATUS_CANCELED
-    rig.planner.cancel(handle)  # too late: of a goal that has ended nothing is sent
     assert sent.cancelled == 1
 
 
@@ -214,7 +200,14 @@ def test_the_end_of_a_goal_that_was_replaced_does_not_stop_the_next(rig: Rig) ->
     assert rig.followed[-1] is None
 
 
-def test_a_controller_that_is_not_there_or_does_not_accept_is_told(rig: Rig) -> None:
+def test_what_is_refused_is_aborted_with_the_reason(rig: Rig) -> None:
+    """Here, or by the controller; and what no controller would take."""
+    handle = rig.planner.send(TOO_FAST)
+    assert handle.status == GoalStatus.STATUS_ABORTED
+    assert handle.result.error_code == FollowJointTrajectory.Result.INVALID_GOAL
+    assert "joint 'a' would need 7, more than its limit" in handle.result.error_string
+    assert rig.log.errors == [handle.result.error_string]
+    assert rig.controller.goals == []
     handle = rig.planner.send()
     rig.controller.goals[0][1].fulfil(SimpleNamespace(accepted=False))
     assert handle.status == GoalStatus.STATUS_ABORTED
@@ -224,6 +217,7 @@ def test_a_controller_that_is_not_there_or_does_not_accept_is_told(rig: Rig) -> 
     assert handle.status == GoalStatus.STATUS_ABORTED
     assert "nothing serves /arm/follow_joint_trajectory" in handle.result.error_string
     assert len(rig.controller.goals) == 1
+    assert rig.followed == []
 
 
 def test_the_relay_fills_goals_as_it_does_what_comes_on_the_topic(

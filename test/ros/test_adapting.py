@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Iterator
 
 import numpy as np
 import pinocchio as pin
@@ -24,8 +25,7 @@ from geomid_ros.ros.outputs import ros_time
 from geomid_ros.types import FloatArray
 
 from .observer import latched
-from .processes import Process
-from .stage import Stage
+from .stage import Stage, staged
 
 URDF = BAGS / "arm3.urdf"
 JOINTS = ["joint1", "joint2", "joint3"]
@@ -96,30 +96,44 @@ class Lockstep:
         self._clock.publish(Clock(clock=ros_time(self._time)))
 
 
-@pytest.fixture
-def relay(stage: Stage) -> Process:
-    parameters = {"urdf": str(URDF), "heaviest_payload": 2.0, "use_sim_time": True}
-    return stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
+class Adapting:
+    """A relay with the model of the URDF alone."""
+
+    def __init__(self, stage: Stage) -> None:
+        parameters = {"urdf": str(URDF), "heaviest_payload": 2.0, "use_sim_time": True}
+        self.relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
+        self.observer, self.lockstep = stage.observer, Lockstep(stage)
+        self.statuses = stage.observer.collect(DiagnosticArray, "/diagnostics")
+
+    def reset(self) -> None:
+        assert self.observer.trigger("/geomid_feedforward/reset")[0]
 
 
-def test_a_load_is_found_and_its_efforts_are_added(stage: Stage, relay: Process) -> None:
+@pytest.fixture(scope="module")
+def adapting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Adapting]:
+    with staged(tmp_path_factory.mktemp("adapting")) as stage:
+        yield Adapting(stage)
+
+
+def test_a_load_is_found_and_its_efforts_are_added(adapting: Adapting) -> None:
     """Until no joint states come: then it says so, and adds nothing until it is reset."""
-    lockstep, expected = Lockstep(stage), efforts_at_rest(loaded=True) - efforts_at_rest(loaded=False)
+    lockstep, expected = adapting.lockstep, efforts_at_rest(loaded=True) - efforts_at_rest(loaded=False)
     assert np.max(np.abs(expected)) > 1.0
     np.testing.assert_allclose(lockstep.run(5, loaded=False), 0.0, atol=1e-6)
     np.testing.assert_allclose(lockstep.run(60), expected, atol=0.03 * np.max(np.abs(expected)))
     assert lockstep.inertias[-1].header.frame_id == "link3"
     assert lockstep.inertias[-1].inertia.m > lockstep.inertias[0].inertia.m + 0.2
-    statuses = stage.observer.collect(DiagnosticArray, "/diagnostics")
 
     def is_off() -> bool:
         lockstep.tick()
-        return not any(lockstep.corrections[-1].effort) and "no joint states for" in relay.output
+        return not any(lockstep.corrections[-1].effort) and "no joint states for" in adapting.relay.output
 
-    stage.observer.wait_for(is_off, "the end of the correction")
-    stage.observer.wait_for(lambda: any(s.status[0].level == DiagnosticStatus.ERROR for s in statuses), "a diagnosis")
+    adapting.observer.wait_for(is_off, "the end of the correction")
+    adapting.observer.wait_for(
+        lambda: any(s.status[0].level == DiagnosticStatus.ERROR for s in adapting.statuses), "a diagnosis"
+    )
     np.testing.assert_array_equal(lockstep.run(10), 0.0)
-    assert stage.observer.trigger("/geomid_feedforward/reset")[0]
+    adapting.reset()
     np.testing.assert_allclose(lockstep.run(60), expected, atol=0.03 * np.max(np.abs(expected)))
 
 
@@ -130,11 +144,10 @@ LACKING: dict[str, dict[str, object]] = {
 }
 
 
-@pytest.mark.usefixtures("relay")
-def test_joint_states_that_lack_something_are_named_and_not_used(stage: Stage) -> None:
+def test_joint_states_that_lack_something_are_named_and_not_used(adapting: Adapting) -> None:
     """Later ones that lack nothing are used: corrections are numbers, and change no faster than ever."""
-    lockstep, statuses = Lockstep(stage), stage.observer.collect(DiagnosticArray, "/diagnostics")
-    spoiled = []
+    adapting.reset()
+    lockstep, spoiled = adapting.lockstep, []
     for lacking, fields in LACKING.items():
         message = lockstep.state(loaded=True)
         for name, value in fields.items():
@@ -144,10 +157,11 @@ def test_joint_states_that_lack_something_are_named_and_not_used(stage: Stage) -
         def is_named(message: JointState = message, said: str = f"no usable joint states: {lacking}") -> bool:
             lockstep.tick()
             lockstep.publish(message)
-            told = (status for array in statuses for status in array.status)
+            told = (status for array in adapting.statuses for status in array.status)
             return any(status.level == DiagnosticStatus.WARN and status.message == said for status in told)
 
-        stage.observer.wait_for(is_named, "a warning")
+        adapting.observer.wait_for(is_named, "a warning")
+    adapting.reset()  # it may have waited for too long
     assert np.max(np.abs(lockstep.run(60))) > 1.0
     for message in spoiled:
         lockstep.tick()
@@ -156,17 +170,18 @@ def test_joint_states_that_lack_something_are_named_and_not_used(stage: Stage) -
     assert np.isfinite([correction.effort for correction in lockstep.corrections]).all()
 
 
-def test_it_ends_where_something_else_has_changed(stage: Stage, relay: Process) -> None:
-    lockstep = Lockstep(stage)
-    gaps = stage.observer.node.create_publisher(String, "/geomid/gap/open", latched(1))
-    stage.observer.wait_for(lambda: gaps.get_subscription_count() > 0, "the relay")
+def test_it_ends_where_something_else_has_changed(adapting: Adapting) -> None:
+    adapting.reset()
+    lockstep, observer, begin = adapting.lockstep, adapting.observer, len(adapting.relay.output)
+    gaps = observer.node.create_publisher(String, "/geomid/gap/open", latched(1))
+    observer.wait_for(lambda: gaps.get_subscription_count() > 0, "the relay")
     for text in ("[", "[]", json.dumps({"gaps": []}), json.dumps({"gaps": [{"channel": "/wrench/fx"}]})):
         gaps.publish(String(data=text))
         lockstep.run(10)
-    assert "off until" not in relay.output
-    assert relay.output.count("is left out") == 2
+    assert "off until" not in adapting.relay.output[begin:]
+    assert adapting.relay.output.count("is left out") == 2
     gaps.publish(String(data=json.dumps({"gaps": [{"channel": "/wrench/fx"}, {"channel": "joint2"}]})))
-    stage.observer.wait_for(lambda: "off until ~/reset: joint 'joint2' has changed" in relay.output, "the end")
+    observer.wait_for(lambda: "off until ~/reset: joint 'joint2' has changed" in adapting.relay.output, "the end")
 
 
 def test_what_is_carried_stays_with_a_newer_estimate(stage: Stage) -> None:

@@ -8,6 +8,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 from rclpy.action import client as rclpy_client
+from trajectory_msgs.msg import JointTrajectory
 
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.ros.controller import ActionController, TopicController, find_controller, message_of
@@ -19,68 +20,51 @@ NAME = "/arm_controller"
 MOTION = Trajectory(("a", "b"), np.array([0.5, 2.25]), np.array([[1, 2], [3, 4]]), np.zeros((2, 2)), np.ones((2, 2)))
 
 
-@pytest.fixture
-def controller() -> ActionController:
-    # The stub needs no node.
-    return ActionController(None, NAME, FollowJointTrajectory, Client)
-
-
-def test_a_goal_is_the_trajectory_and_may_succeed(controller: ActionController) -> None:
+def test_goals_of_the_action() -> None:
+    """A goal is the trajectory, and may succeed; why one does not is told, unless another has replaced it."""
+    controller = ActionController(None, NAME, FollowJointTrajectory, Client)  # the stub needs no node
+    server, result = Client.last, FollowJointTrajectory.Result
+    assert server.name == "/arm_controller/follow_joint_trajectory"
     controller.send(MOTION)
-    assert Client.last.name == "/arm_controller/follow_joint_trajectory"
-    assert Client.last.goals[0][0].trajectory == message_of(MOTION)
-    Client.last.accept(0).ended.fulfil(ended(FollowJointTrajectory.Result.SUCCESSFUL))
+    assert server.goals[0][0].trajectory == message_of(MOTION)
+    server.accept(0).ended.fulfil(ended(result.SUCCESSFUL))
     assert controller.problem == ""
-
-
-def test_a_goal_that_is_not_accepted_is_told(controller: ActionController) -> None:
     controller.send(MOTION)
-    Client.last.goals[0][1].fulfil(SimpleNamespace(accepted=False))
+    replaced = server.accept(1)
+    controller.send(MOTION)
+    replaced.ended.fulfil(ended(result.PATH_TOLERANCE_VIOLATED, "preempted"))
+    assert controller.problem == ""
+    server.accept(2).ended.fulfil(ended(result.PATH_TOLERANCE_VIOLATED, "path tolerance"))
+    assert controller.problem == "the controller aborted the motion: path tolerance"
+    controller.send(MOTION)
+    server.goals[3][1].fulfil(SimpleNamespace(accepted=False))
     assert "aborted the motion: not accepted" in controller.problem
 
 
-def test_a_goal_that_is_aborted_is_told(controller: ActionController) -> None:
-    controller.send(MOTION)
-    Client.last.accept(0).ended.fulfil(ended(FollowJointTrajectory.Result.PATH_TOLERANCE_VIOLATED, "path tolerance"))
-    assert controller.problem == "the controller aborted the motion: path tolerance"
-
-
-def test_a_goal_that_was_replaced_may_fail(controller: ActionController) -> None:
-    controller.send(MOTION)
-    sent = Client.last.accept(0)
-    controller.send(MOTION)
-    sent.ended.fulfil(ended(FollowJointTrajectory.Result.PATH_TOLERANCE_VIOLATED, "preempted"))
-    assert controller.problem == ""
-
-
-def test_a_server_that_goes_is_told(controller: ActionController) -> None:
+def test_a_server_that_goes_is_told() -> None:
+    controller = ActionController(None, NAME, FollowJointTrajectory, Client)
+    assert controller.ready
     Client.last.there = False
     assert not controller.ready
     assert "the controller is gone: nothing serves /arm_controller/follow_joint_trajectory" in controller.problem
 
 
-@pytest.fixture
-def installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``control_msgs``, as far as it is needed."""
-    package, actions = ModuleType("control_msgs"), ModuleType("control_msgs.action")
-    actions.FollowJointTrajectory = FollowJointTrajectory  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "control_msgs", package)
-    monkeypatch.setitem(sys.modules, "control_msgs.action", actions)
-    monkeypatch.setattr(rclpy_client, "ActionClient", Client)
-
-
-@pytest.mark.usefixtures("installed")
-def test_the_action_is_taken_where_there_is_one(stage: Stage) -> None:
-    node = stage.observer.node
-    topic = f"{NAME}/joint_trajectory"
-    stage.observer.collect(type(message_of(MOTION)), topic)
-    assert isinstance(find_controller(node, NAME, lambda: stage.observer.spin(0.01)), ActionController)
-
-
-def test_the_topic_is_taken_elsewhere(stage: Stage) -> None:
-    heard = stage.observer.collect(type(message_of(MOTION)), f"{NAME}/joint_trajectory")
-    found = find_controller(stage.observer.node, NAME, lambda: stage.observer.spin(0.01))
+def test_the_topic_is_taken_where_there_is_no_action(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    node, look = stage.observer.node, lambda: stage.observer.spin(0.01)
+    heard: list[JointTrajectory] = []
+    subscription = node.create_subscription(JointTrajectory, f"{NAME}/joint_trajectory", heard.append, 10)
+    found = find_controller(node, NAME, look)
     assert isinstance(found, TopicController)
     found.send(MOTION)
     stage.observer.wait_for(lambda: heard, "the trajectory")
     assert heard == [message_of(MOTION)]
+    actions = ModuleType("control_msgs.action")
+    actions.FollowJointTrajectory = FollowJointTrajectory  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "control_msgs", ModuleType("control_msgs"))
+    monkeypatch.setitem(sys.modules, "control_msgs.action", actions)
+    monkeypatch.setattr(rclpy_client, "ActionClient", Client)
+    assert isinstance(find_controller(node, NAME, look), ActionController)
+    assert found.problem == ""
+    node.destroy_subscription(subscription)
+    stage.observer.wait_for(lambda: not found.ready, "its end")
+    assert found.problem == f"the controller is gone: nothing subscribes to {NAME}/joint_trajectory any more"
