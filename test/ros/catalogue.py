@@ -21,7 +21,7 @@ _message = "test_catalogue_messages.py::test_a_bad_message_is_named_and_leaves_n
 _stream = "test_catalogue_messages.py::test_a_bad_stream_is_named_and_leaves_no_trace[{}]".format
 _again = "test_catalogue_streams.py::test_what_comes_again_is_waited_out[{}]".format
 _jump = "test_catalogue_streams.py::test_time_that_jumps_begins_a_segment_and_costs_nothing[{}]".format
-_second = "test_catalogue_streams.py::test_a_second_publisher_is_named_and_believed_no_more_than_the_first[{}]".format
+_second = "test_catalogue_graph.py::test_a_second_publisher_is_named_and_believed_no_more_than_the_first[{}]".format
 _solver = "test_catalogue_failures.py::test_a_solver_that_fails_keeps_the_last_estimate[{}]".format
 _exception = "test_catalogue_failures.py::test_an_exception_costs_the_messages_it_meets[{}]".format
 _console = "test_catalogue_console.py::test_{}".format
@@ -67,7 +67,7 @@ CATALOGUE = (
     Fault(14, "two publishers of a topic", "dropped, E naming both", (_second("14-two-publishers"),)),
     Fault(15, "a second stream with prefixed names", "R W; dropped while there are two publishers, E", (_message("15-prefixed-names"), _second("15-a-phantom"))),
     Fault(16, "left and right arm in separate messages", "dropped, E; merged with `merge_joint_states`", (_second("16-an-arm-of-its-own"), "test_catalogue_streams.py::test_16_two_arms_are_put_together")),
-    Fault(17, "a publisher replaced by another", "taken", (f"{_STREAMS}17_a_publisher_that_is_replaced",)),
+    Fault(17, "a publisher replaced by another", "taken", (f"{_GRAPH}17_a_publisher_that_is_replaced",)),
     Fault(18, "stamp zero", "R W", (_message("18-stamp-0"),)),
     Fault(19, "the same stamp again", "R W", (_message("19-duplicate"),)),
     Fault(20, "out of order", "R W", (_message("20-out-of-order"),)),
@@ -80,7 +80,7 @@ CATALOGUE = (
     Fault(27, "a gap forward", "S W", (_jump("27-gap-forward"),)),
     Fault(28, "paused simulation", "R W", (_again("28-paused-simulation"),)),
     Fault(29, "simulated time without `/clock`", "W; data are used with their own stamps", (f"{_GRAPH}29_simulated_time_without_a_clock",)),
-    Fault(30, "messages lost on the way", "counted, W", (f"{_GRAPH}30_messages_that_are_lost_on_the_way_are_counted",)),
+    Fault(30, "messages lost on the way", "counted, W", ("test_inputs.py::test_every_message_is_taken_lost_or_dropped", "test_diagnostics.py::test_what_was_told_is_not_told_again")),
     Fault(31, "queue overflow", "W; messages are dropped while 10,000 messages or 100 MB wait", ("test_worker.py::test_what_waits_is_bounded_by_number_and_bytes",)),
     Fault(32, "bursts", "taken", (f"{_FAILURES}96_a_burst_of_thousands_after_silence_is_taken",)),
     Fault(33, "QoS mismatch: durability", "E naming policy and publisher", (f"{_GRAPH}33_a_description_that_is_not_kept_for_those_who_come_late",)),
@@ -135,7 +135,7 @@ CATALOGUE = (
     Fault(88, "`merge_joint_states` with a slow gripper", "the rate of the fastest part; positions of slow parts are interpolated, their efforts left out, W", ("test_catalogue_streams.py::test_88_a_slow_gripper_does_not_slow_down_the_arm",)),
     Fault(89, "one part of a merged robot dies", "W naming its joints", (f"{_STREAMS}89_a_part_that_falls_silent_is_named",)),
     Fault(90, "messages are accepted, but yield no rows", "W asking to check the clocks of the topics", ("test_diagnostics.py::test_90_messages_of_which_nothing_comes_are_a_warning",)),
-    Fault(91, "the solving process is killed", "restarted, after increasing pauses if it ends without a result, W; no message is lost", (_SOLVING + "91_a_node_whose_process_is_killed_goes_on", _SOLVING + "a_process_that_is_killed_is_replaced", _SOLVING + "one_that_ends_in_every_solve_is_started_after_pauses")),
+    Fault(91, "the solving process is killed", "restarted, after increasing pauses if it ends without a result, W; no message is lost", (_GRAPH + "91_a_node_whose_process_is_killed_goes_on", _SOLVING + "a_process_that_is_killed_is_replaced", _SOLVING + "one_that_ends_in_every_solve_is_started_after_pauses")),
     Fault(92, "slow solves now and then", "each that hangs is ended and begun anew", (_supervisor("92_what_hung_is_told_until_there_is_an_estimate"),)),
     Fault(93, "a mimic joint that is not in the messages", "follows its master, whose effort drives both", ("../model/test_mimic.py::test_the_masters_efforts_make_the_energy_grow", _supervisor("they_are_locked_when_all_had_the_time_to_be_heard"))),
     Fault(94, "tf_prefix", "R E naming the prefix", (_message("15-prefixed-names"), _REFUSALS)),
@@ -148,11 +148,11 @@ CATALOGUE = (
     Fault(101, "`~/save` under load", "response within five seconds, with the last estimate or the reason why not", (_service("101-solver-busy"), _supervisor("101_what_takes_too_long_is_said"))),
     Fault(102, "too little memory", "X in one sentence", (_MISTAKES + "too_little_memory_is_said_in_one_sentence",)),
     Fault(103, "names with terminal, HTML or formula markup", "shown as plain text", (_NAMES + "markup_is_shown_as_it_is", _NAMES + "html_is_text_in_a_report")),
-    Fault(104, "control characters and line ends in names and frames", "shown as escape codes, in terminal, log and diagnostics", (_NAMES + "what_cannot_be_printed_is_shown_as_codes", _console("108_104_all_messages_refused_is_said_on_the_console"))),
+    Fault(104, "control characters and line ends in names and frames", "shown as escape codes, in terminal, log and diagnostics", (_NAMES + "what_cannot_be_printed_is_shown_as_codes", f"{_GRAPH}108_104_all_messages_refused_is_said_on_the_console")),
     Fault(105, "a pipe or a device in place of a file", "X naming it", (_REFUSALS,)),
     Fault(106, "a bag that unpacks to hundreds of times its size", "X naming it, before the disk is full", (_bags("what_would_fill_the_disk_is_refused_before"), _bags("a_packed_file_that_unpacks_to_too_much_is_refused"))),
     Fault(107, "names of 20,000 characters", "accepted, at the cost of their length", (_NAMES + "a_name_costs_no_more_than_its_length",)),
-    Fault(108, "nobody reads the diagnostics", "persistent problems are logged once a minute, with what to do", (_console("108_the_console_says_what_is_waited_for"), _console("108_104_all_messages_refused_is_said_on_the_console"), _console("what_lasts_is_said_once_a_minute"))),
+    Fault(108, "nobody reads the diagnostics", "persistent problems are logged once a minute, with what to do", (_console("108_the_console_says_what_is_waited_for"), f"{_GRAPH}108_104_all_messages_refused_is_said_on_the_console", _console("what_lasts_is_said_once_a_minute"))),
     Fault(109, "solver trial points that overflow", "the step is shortened", ("../estimation/test_solvers.py::test_trial_points_that_overflow_shorten_the_step",)),
     Fault(110, "xacro, SDF or MJCF in place of URDF; no inertials; joints without a publisher; a cutoff too high for the rate", "X with the command or the parameter that fixes it", (_REFUSALS,)),
 )  # fmt: skip

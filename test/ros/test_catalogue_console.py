@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from files.recordings import BAGS
+from std_msgs.msg import String
 
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.live.status import Status
@@ -18,8 +18,7 @@ from geomid_ros.ros import diagnostics as module
 from geomid_ros.ros.diagnostics import AGAIN, Console, StatusEvents
 from geomid_ros.signals.ledger import Account
 
-from .rig import GOOD, rigged
-from .spoiling import in_frame
+from .observer import latched
 from .stage import NO_CHOICE, WRIST, Stage, description
 
 WICKED = "\x1b[31mjoint1\nINFO all is well\u202e"
@@ -142,39 +141,15 @@ def said(process: Any, level: str, words: str) -> bool:
 
 def test_108_the_console_says_what_is_waited_for(stage: Stage) -> None:
     """A description; data. And what comes then, and what is found."""
-    node = stage.node(WRIST)
-    none = r"no robot description yet on /robot_description \(start robot_state_publisher, or set"
+    arguments = ("-r", "__ns:=/other", "-r", "joint_states:=/joint_states")
+    node = stage.node({**WRIST, **NO_CHOICE, "solve_period": 0.2}, *arguments, name="other/geomid")
+    none = r"no robot description yet on /other/robot_description \(start robot_state_publisher, or set"
     stage.observer.wait_for(lambda: said(node, "WARN", none), "a description")
-    described = {**NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.2}
-    other = stage.node({**WRIST, **described}, "-r", "__ns:=/other", name="other/geomid")
-    silent = r"no messages on /other/joint_states, /wrench \(does the driver run\?"
-    stage.observer.wait_for(lambda: said(other, "WARN", silent), "messages")
-    remapped = stage.node(described, "-r", "__ns:=/third", "-r", "joint_states:=/joint_states", name="third/geomid")
-    stage.spin_while(stage.play(BAGS / "arm3", 1.0))
-    stage.observer.wait_for(lambda: "first estimate, from" in remapped.output, "the first estimate")
-    assert said(remapped, "INFO", r"\]: /joint_states: receiving \d+ messages/s\n")
-    assert said(remapped, "INFO", r"\]: identifying 3 links")
-
-
-def test_108_104_all_messages_refused_is_said_on_the_console(tmp_path: Path) -> None:
-    """With what to do about it; and names from outside are one printable line, there and in the diagnostics."""
-    with rigged(tmp_path) as rig:
-        bad = [item.changed(name=[WICKED, "joint2", "joint3"]) for item in GOOD[:1200] if item.topic == "/joint_states"]
-        for begin in range(0, 600, 150):
-            rig.send(bad[begin : begin + 150], pause=0.01)
-        lacking = r"joint_states rejected: joint 'joint1' is missing: if nobody publishes"
-        rig.stage.observer.wait_for(lambda: said(rig.node, "(WARN|ERROR)", lacking), "what all messages lack")
-        assert rig.node.output.count("joint 'joint1' is missing") <= 2, "once, not with every message"
-        assert rig.settled()["joint_states accepted"] == "0"
-        begin = len(rig.arrays)
-        names = [WICKED, WICKED, "joint3"]
-        rig.send(in_frame(i, WICKED) if i.topic == "/wrench" else i.changed(name=names) for i in GOOD[600:1000])
-        rig.says(begin, None, f"joint '{SHOWN}' is named twice", f"frame '{SHOWN}' is not the declared 'wrist_ft'")
-        for status in (status for array in rig.arrays for status in array.status):
-            values = [text for pair in status.values for text in (pair.key, pair.value)]
-            assert all(text.isprintable() for text in (status.name, status.message, *values)), status
-        assert all(line.isprintable() for line in rig.node.output.splitlines())
-        assert not re.search("^INFO all is well", rig.node.output, re.MULTILINE)
-        before, after = rig.begin()
-        rig.feed(before + after)
-        rig.assert_same_as_twin()
+    talker = stage.observer.node.create_publisher(String, "/other/robot_description", latched(1))
+    talker.publish(String(data=description("arm3")))
+    silent = r"no messages on /joint_states, /wrench \(does the driver run\?"
+    stage.observer.wait_for(lambda: said(node, "WARN", silent), "messages")
+    stage.spin_while(stage.play(BAGS / "arm3", 2.0, "--topic", "/wrench"))
+    stage.observer.wait_for(lambda: "first estimate, from" in node.output, "the first estimate")
+    assert said(node, "INFO", r"\]: /joint_states: receiving \d+ messages/s\n")
+    assert said(node, "INFO", r"\]: identifying 4 links")

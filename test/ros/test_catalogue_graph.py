@@ -1,23 +1,31 @@
-"""The catalogue's faults between the node and others: quality of service, clocks, messages that are lost."""
+"""The catalogue's faults between the node and others: quality of service, clocks, publishers too many, any bytes."""
 
 from __future__ import annotations
 
+import os
+import re
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from files.recordings import TYPES
+import rclpy
+from files.recordings import TYPES, Recorded
 from geometry_msgs.msg import InertiaStamped
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from .observer import MATCHING, latched, plenty
-from .rig import ERROR, WARN
+from .rig import ERROR, GOOD, OK, WARN, Rig
+from .spoiling import in_frame, later
 from .stage import NO_CHOICE, Stage, description, messages, staged
+from .test_catalogue_console import SHOWN, WICKED, said
+from .test_solving_process import children
 
 JOINTS = [item for item in messages() if item.topic == "/joint_states"]
 
@@ -39,8 +47,8 @@ def told(stage: Stage, level: bytes, *parts: str) -> dict[str, str]:
     return {pair.key: pair.value for pair in array.status[0].values}
 
 
-def publish(stage: Stage, publisher: Any, count: int, begin: int = 0) -> None:
-    for item in JOINTS[begin : begin + count]:
+def publish(stage: Stage, publisher: Any, count: int) -> None:
+    for item in JOINTS[:count]:
         publisher.publish(bytes(TYPES.serialize_cdr(item.message, item.kind)))
         stage.observer.spin(0.0005)
 
@@ -86,34 +94,159 @@ def test_34_joint_states_less_reliable_than_is_asked_for(strict: Stage) -> None:
     node.destroy_publisher(good)
 
 
-def test_30_messages_that_are_lost_on_the_way_are_counted(stage: Stage, tmp_path: Path) -> None:
-    """The process stands still while more comes than its middleware keeps."""
-    process = stage.node(
-        {"robot_description": description("arm3"), **NO_CHOICE, "output_folder": str(tmp_path / "out")}
-    )
-    node = stage.observer.node
-    hasty = node.create_publisher(
-        JointState, "/joint_states", QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    )
-    stage.observer.wait_for(hasty.get_subscription_count, "the node")
-    stage.observer.spin(MATCHING)
-    publish(stage, hasty, 300)
-    stage.fed({"joint_states": 300})
-    process.send(signal.SIGSTOP)
+MALFORMED = {
+    "a header alone": b"\x00\x01\x00\x00",
+    "an end too soon": b"\x00\x01\x00\x00" + 20 * b"\x01",
+    "a length that is not there": b"\x00\x01\x00\x00" + 16 * b"\x00" + 8 * b"\xff",
+}
+
+
+def test_bytes_that_are_no_message_are_rejected(rig: Rig) -> None:
+    """Whoever publishes may publish any bytes."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.published()
+    for data in MALFORMED.values():
+        begin = len(rig.arrays)
+        for topic, publisher in rig.publishers.items():
+            publisher.publish(data)
+            rig.sent[topic] += 1
+        rig.names_at_once(
+            begin,
+            WARN,
+            "joint_states rejected: not a valid sensor_msgs/msg/JointState",
+            "/wrench rejected: not a valid geometry_msgs/msg/WrenchStamped",
+        )
+    assert rig.node.running
+    rig.feed(after)
+    rig.assert_same_as_twin()
+
+
+TWO = "joint_states has 2 publishers"
+
+
+@contextmanager
+def impostor(rig: Rig) -> Iterator[Publisher]:
+    """Another node that publishes joint_states."""
+    node = rclpy.create_node("impostor", context=rig.stage.observer.node.context)
+    publisher = node.create_publisher(JointState, "/joint_states", plenty())
+    rig.stage.observer.wait_for(publisher.get_subscription_count, "the node")
+    rig.says(len(rig.arrays), ERROR, TWO)
+    rig.stage.observer.spin(MATCHING)
     try:
-        raw = [bytes(TYPES.serialize_cdr(item.message, item.kind)) for item in JOINTS]
-        for _ in range(20):
-            for data in raw:
-                hasty.publish(data)
+        yield publisher
     finally:
-        process.send(signal.SIGCONT)
-    publish(stage, hasty, 100, 700)
-    sent = 300 + 20 * len(JOINTS) + 100
+        node.destroy_node()
+        begin = len(rig.arrays)
+        rig.told("the impostor's end", begin, lambda _, status: TWO not in status.message)
+        rig.stage.observer.spin(0.2)
 
-    def accounted(values: dict[str, str], _: Any) -> bool:
-        return int(values["joint_states received"]) + int(values.get("joint_states lost", "0")) == sent
 
-    array = stage.observer.diagnostics(accounted, f"{sent} messages received or lost")
-    values = {pair.key: pair.value for pair in array.status[0].values}
-    assert int(values["joint_states lost"]) > 0
-    assert process.running
+def phantom(item: Recorded) -> Recorded:
+    return item.changed(name=[f"ghost/{name}" for name in item.message.name])
+
+
+def right_arm(item: Recorded) -> Recorded:
+    first = {key: getattr(item.message, key)[:1] for key in ("position", "velocity", "effort")}
+    return item.changed(name=item.message.name[:1], **first)
+
+
+SECONDS: dict[str, Callable[[Recorded], Recorded]] = {
+    "14-two-publishers": lambda item: item,
+    "15-a-phantom": phantom,
+    "16-an-arm-of-its-own": right_arm,
+}
+
+
+def test_a_second_publisher_is_named_and_believed_no_more_than_the_first(rig: Rig) -> None:
+    """Whatever it says; the wrenches go on."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.published()
+    begin = len(rig.arrays)
+    with impostor(rig) as publisher:
+        for item in after[:40]:
+            if item.topic == "/joint_states":
+                rig.send([item])
+                for say in SECONDS.values():
+                    other = later(say(item), 1_000_000)
+                    publisher.publish(bytes(TYPES.serialize_cdr(other.message, other.kind)))
+                    rig.sent["/joint_states"] += 1
+        rig.settled(begin)
+        rig.says(begin, ERROR, TWO, "/impostor, /observer")
+    assert rig.node.running
+    rig.feed(after[40:])
+    rig.assert_same_as_twin()
+
+
+def test_17_a_publisher_that_is_replaced(rig: Rig) -> None:
+    """Its successor's messages are taken as its own, once all that it has sent has come and it has gone."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.settled(len(rig.arrays))
+    node, old = rig.stage.observer.node, rig.publishers["/joint_states"]
+    rig.publishers["/joint_states"] = node.create_publisher(JointState, "/joint_states", plenty())
+    rig.says(len(rig.arrays), ERROR, TWO)
+    node.destroy_publisher(old)
+    begin = len(rig.arrays)
+    rig.told("its end", begin, lambda _, status: TWO not in status.message)
+    rig.says(begin, WARN, "no messages on /joint_states")
+    rig.feed(after)
+    rig.settled(begin)
+    rig.assert_same_as_twin()
+
+
+def test_108_104_all_messages_refused_is_said_on_the_console(rig: Rig) -> None:
+    """With what to do about it; and names from outside are one printable line, there and in the diagnostics."""
+    _, after = rig.begin()
+    bad = [item.changed(name=[WICKED, "joint2", "joint3"]) for item in after if item.topic == "/joint_states"]
+    accepted = rig.settled(len(rig.arrays))["joint_states accepted"]
+    for begin in range(0, 150, 50):
+        rig.send(bad[begin : begin + 50], pause=0.03)
+    lacking = r"joint_states rejected: joint 'joint1' is missing: if nobody publishes"
+    rig.stage.observer.wait_for(lambda: said(rig.node, "(WARN|ERROR)", lacking), "what all messages lack")
+    assert rig.node.output.count("joint 'joint1' is missing") <= 2, "once, not with every message"
+    assert rig.settled()["joint_states accepted"] == accepted
+    begin, names = len(rig.arrays), [WICKED, WICKED, "joint3"]
+    rig.send(
+        in_frame(i, WICKED) if i.topic == "/wrench" else i.changed(name=names) for i in rig.shifted(GOOD[900:1000])
+    )
+    rig.says(begin, None, f"joint '{SHOWN}' is named twice", f"frame '{SHOWN}' is not the declared 'wrist_ft'")
+    for status in (status for array in rig.arrays for status in array.status):
+        values = [text for pair in status.values for text in (pair.key, pair.value)]
+        assert all(text.isprintable() for text in (status.name, status.message, *values)), status
+    assert all(line.isprintable() for line in rig.node.output.splitlines())
+    assert not re.search("^INFO all is well", rig.node.output, re.MULTILINE)
+    before, after = rig.begin()
+    rig.feed(before + after)
+    rig.assert_same_as_twin()
+
+
+def test_a_healthy_stream_is_nothing_to_talk_about(rig: Rig) -> None:
+    """After all that: the judgement is of now."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.settled(len(rig.arrays))
+    begin = len(rig.arrays)
+    rig.feed(after)
+    rig.told("good words", begin, lambda _, status: status.level == OK)
+
+
+def test_91_a_node_whose_process_is_killed_goes_on(rig: Rig) -> None:
+    """It is said, no message is lost to it, and the estimate is that of a node to which it did not happen. Last, as it
+    is said for a minute."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.published()
+    refused, begin = not_accepted(rig.settled(len(rig.arrays))), len(rig.arrays)
+    for process in children(rig.node.pid):
+        os.kill(process, signal.SIGKILL)
+    rig.feed(after)
+    rig.says(begin, WARN, "the solver process died")
+    assert not_accepted(rig.settled(begin)) == refused
+    rig.assert_same_as_twin()
+    rig.says(begin, WARN, "was restarted")
+
+
+def not_accepted(values: dict[str, str]) -> int:
+    return int(values["joint_states received"]) - int(values["joint_states accepted"])

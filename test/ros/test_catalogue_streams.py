@@ -1,22 +1,17 @@
-"""The catalogue's faults of whole streams: clocks that jump, bursts, saturation, publishers too many."""
+"""The catalogue's faults of whole streams: clocks that jump, motions that say little, robots in parts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from contextlib import closing
 
 import numpy as np
 import pytest
-import rclpy
-from files.recordings import TYPES, Recorded
-from rclpy.publisher import Publisher
-from sensor_msgs.msg import JointState
+from files.recordings import Recorded
 
 from .direct import Direct
 from .in_motion import InMotion, in_time, noisy
-from .observer import MATCHING, plenty
-from .rig import AFTER, BEFORE, ERROR, GOOD, OK, WARN, Rig, rigged
+from .rig import AFTER, BEFORE, GOOD, OK, WARN, Rig
 from .spoiling import later, stamp_of
 from .stage import description
 
@@ -111,91 +106,7 @@ def test_48_a_motion_of_one_joint_leaves_links_untold_and_names_them(direct: Dir
     direct.link_says(begin, "link2", OK, "mass")
 
 
-TWO = "joint_states has 2 publishers"
-
-
-@contextmanager
-def impostor(rig: Rig) -> Iterator[Publisher]:
-    """Another node that publishes joint_states."""
-    node = rclpy.create_node("impostor", context=rig.stage.observer.node.context)
-    publisher = node.create_publisher(JointState, "/joint_states", plenty())
-    rig.stage.observer.wait_for(publisher.get_subscription_count, "the node")
-    rig.says(len(rig.arrays), ERROR, TWO)
-    rig.stage.observer.spin(MATCHING)
-    try:
-        yield publisher
-    finally:
-        node.destroy_node()
-        begin = len(rig.arrays)
-        rig.told("the impostor's end", begin, lambda _, status: TWO not in status.message)
-        rig.stage.observer.spin(0.2)
-
-
-def phantom(item: Recorded) -> Recorded:
-    return item.changed(name=[f"ghost/{name}" for name in item.message.name])
-
-
-def right_arm(item: Recorded) -> Recorded:
-    first = {key: getattr(item.message, key)[:1] for key in ("position", "velocity", "effort")}
-    return item.changed(name=item.message.name[:1], **first)
-
-
-SECONDS: dict[str, Callable[[Recorded], Recorded]] = {
-    "14-two-publishers": lambda item: item,
-    "15-a-phantom": phantom,
-    "16-an-arm-of-its-own": right_arm,
-}
-
-
-@pytest.mark.parametrize("name", SECONDS)
-def test_a_second_publisher_is_named_and_believed_no_more_than_the_first(name: str, rig: Rig) -> None:
-    """Whatever it says; the wrenches go on."""
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.published()
-    begin = len(rig.arrays)
-    with impostor(rig) as publisher:
-        for item in after[:40]:
-            if item.topic == "/joint_states":
-                rig.send([item])
-                other = later(SECONDS[name](item), 1_000_000)
-                publisher.publish(bytes(TYPES.serialize_cdr(other.message, other.kind)))
-                rig.sent["/joint_states"] += 1
-        rig.settled(begin)
-        rig.says(begin, ERROR, TWO, "/impostor, /observer")
-    assert rig.node.running
-    rig.feed(after[40:])
-    rig.assert_same_as_twin()
-
-
-def test_17_a_publisher_that_is_replaced(rig: Rig) -> None:
-    """Its successor's messages are taken as its own, once all that it has sent has come and it has gone."""
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.settled(len(rig.arrays))
-    node, old = rig.stage.observer.node, rig.publishers["/joint_states"]
-    rig.publishers["/joint_states"] = node.create_publisher(JointState, "/joint_states", plenty())
-    rig.says(len(rig.arrays), ERROR, TWO)
-    node.destroy_publisher(old)
-    begin = len(rig.arrays)
-    rig.told("its end", begin, lambda _, status: TWO not in status.message)
-    rig.says(begin, WARN, "no messages on /joint_states")
-    rig.feed(after)
-    rig.settled(begin)
-    rig.assert_same_as_twin()
-
-
-def test_a_healthy_stream_is_nothing_to_talk_about(rig: Rig) -> None:
-    """After all that: the judgement is of now."""
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.settled(len(rig.arrays))
-    begin = len(rig.arrays)
-    rig.feed(after)
-    rig.told("good words", begin, lambda _, status: status.level == OK)
-
-
-# --- Left and right arm in messages of their own, from publishers of their own, on one topic ---
+# --- Left and right arm in messages of their own, on one topic ---
 
 
 def part(item: Recorded, places: slice) -> Recorded:
@@ -204,27 +115,16 @@ def part(item: Recorded, places: slice) -> Recorded:
     return item.changed(name=item.message.name[places], **numbers)
 
 
-def test_16_two_arms_are_put_together(tmp_path: Path) -> None:
+def test_16_two_arms_are_put_together() -> None:
     """As if one had sent all joints: the twin is fed whole messages."""
-    with rigged(tmp_path, merge_joint_states=True) as rig:
-        node = rclpy.create_node("right_arm", context=rig.stage.observer.node.context)
-        right = node.create_publisher(JointState, "/joint_states", plenty())
-        rig.stage.observer.wait_for(right.get_subscription_count, "the node")
-        rig.stage.observer.spin(MATCHING)
+    with closing(Direct(merge_joint_states=True)) as direct:
         for item in BEFORE + AFTER:
-            if item.topic == "/joint_states":
-                rig.send([part(item, slice(0, 2))])
-                other = part(item, slice(2, None))
-                right.publish(bytes(TYPES.serialize_cdr(other.message, other.kind)))
-                rig.sent["/joint_states"] += 1
-            else:
-                rig.send([item])
-        rig.twin.feed(BEFORE + AFTER)
-        values = rig.settled()
+            parts = [slice(0, 2), slice(2, None)] if item.topic == "/joint_states" else []
+            direct.send([part(item, each) for each in parts] or [item])
+        direct.twin.feed(BEFORE + AFTER)
+        values = direct.settled()
         assert values["joint_states accepted"] == values["joint_states received"]
-        assert "publishers" not in rig.stream(rig.arrays[-1]).message
-        rig.assert_same_as_twin()
-        node.destroy_node()
+        direct.assert_same_as_twin()
 
 
 def test_88_a_slow_gripper_does_not_slow_down_the_arm() -> None:

@@ -7,14 +7,15 @@ import json
 import re
 import signal
 import socket
-import time
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from files.recordings import BAGS
 
 from .processes import Process
 from .stage import NO_CHOICE, WRIST, Stage, description
+from .test_solving_process import children
 from .waiting import PATIENCE
 
 URDF = {"robot_description": description("arm3"), **WRIST, **NO_CHOICE}
@@ -63,42 +64,39 @@ def is_listening(port: int) -> bool:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
-def test_the_page_is_told_what_the_node_says(stage: Stage) -> None:
+def test_the_page_is_told_what_the_node_says_and_ends_with_it(stage: Stage) -> None:
+    """So does the process that solves."""
     arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
-    alone = stage.node({**URDF, "solve_period": 0.2})
-    dashboard = stage.start("geomid_ros", "dashboard")
-    reader = Reader(address(stage, dashboard))
-    stage.spin_while(stage.play(Path(__file__).parents[2] / "bags/arm3", 4.0, "--topic", "/wrench"))
+    arguments = ("-r", "__ns:=/left", "-r", "joint_states:=/joint_states")
+    node = stage.node({**URDF, "dashboard": True, "solve_period": 0.2}, *arguments, name="left/geomid", fresh=True)
+    reader = Reader(address(stage, node, "left/geomid"))
+    stage.spin_while(stage.play(BAGS / "arm3", 4.0, "--topic", "/wrench"))
 
     def seen() -> dict[str, Any] | None:
         state = reader.state()
-        said = [status for array in arrays for status in array.status if status.name == "geomid: link3"]
+        said = [status for array in arrays for status in array.status if status.name == "left/geomid: link3"]
         masses = {pair.value for status in said for pair in status.values if pair.key == "mass"}
         told = {f"{link['mass']:.6g}" for link in state["links"] if link["name"] == "link3"}
         return state if told and told <= masses else None
 
     state = stage.observer.wait_for(seen, "the mass of link3 on the page", PATIENCE)
+    assert state["node"] == "left/geomid"
     assert {link["name"] for link in state["links"]} >= {"link2", "link3"}
     assert {channel["name"] for channel in state["channels"]} >= {"joint1", "joint2", "joint3"}
     for link in state["links"]:
         assert link["low"] < link["mass"] < link["high"]
     assert {topic["name"] for topic in state["topics"]} == {"joint_states", "/wrench"}
 
-    node = stage.observer.node
-    opened = stage.observer.settled(
-        lambda: [
-            *node.get_publisher_names_and_types_by_node("geomid_dashboard", "/"),
-            *node.get_subscriber_names_and_types_by_node("geomid_dashboard", "/"),
-            *node.get_client_names_and_types_by_node("geomid_dashboard", "/"),
-        ]
-    )
-    assert [name for name, _ in opened] == ["/parameter_events", "/diagnostics"]  # the first as every node of rclpy
-    assert dashboard.end() == 0, dashboard.output
-    assert len(dashboard.output.splitlines()) == 1, dashboard.output
-    assert "Dashboard" not in alone.output, "without the parameter it has none of its own"
+    started = children(node.pid)
+    node.send(signal.SIGKILL)
+    node.status()
+    stage.observer.wait_for(lambda: not is_listening(reader.port), "the end of the dashboard")
+    assert len(started) >= 2
+    stage.observer.wait_for(lambda: not any(Path(f"/proc/{each}").exists() for each in started), "that of the solver")
 
 
 def test_nobody_but_this_machine_is_answered_and_nothing_can_be_changed(stage: Stage) -> None:
+    """In its graph it only listens. A port that is taken is said; without one another is taken."""
     dashboard = stage.start("geomid_ros", "dashboard", "--node", "/somebody/geomid")
     reader = Reader(address(stage, dashboard, "somebody/geomid"))
     status, page = reader.ask("/")
@@ -115,25 +113,20 @@ def test_nobody_but_this_machine_is_answered_and_nothing_can_be_changed(stage: S
     listening = re.findall(rf": ([0-9A-F]+):{reader.port:04X} [0-9A-F]+:0000 0A", addresses)
     assert listening == ["0100007F"]
 
+    node = stage.observer.node
+    opened = stage.observer.settled(
+        lambda: [
+            *node.get_publisher_names_and_types_by_node("geomid_dashboard", "/"),
+            *node.get_subscriber_names_and_types_by_node("geomid_dashboard", "/"),
+            *node.get_client_names_and_types_by_node("geomid_dashboard", "/"),
+        ]
+    )
+    assert [name for name, _ in opened] == ["/parameter_events", "/diagnostics"]  # the first as every node of rclpy
 
-def test_a_port_that_is_taken_is_said_and_without_one_another_is_taken(stage: Stage) -> None:
-    first = stage.start("geomid_ros", "dashboard")
-    port = address(stage, first)
-    second = stage.start("geomid_ros", "dashboard")
-    assert address(stage, second) != port
-    third = stage.start("geomid_ros", "dashboard", "--port", str(port))
+    assert address(stage, stage.start("geomid_ros", "dashboard")) != reader.port
+    third = stage.start("geomid_ros", "dashboard", "--port", str(reader.port))
     stage.observer.wait_for(lambda: not third.running, "its end", PATIENCE)
     assert third.status() == 2
-    assert f"port {port} of 127.0.0.1 is not available" in third.output
-
-
-def test_the_nodes_own_dashboard_ends_with_it(stage: Stage) -> None:
-    node = stage.node({**URDF, "dashboard": True}, "-r", "__ns:=/left", name="left/geomid", fresh=True)
-    port = address(stage, node, "left/geomid")
-    assert Reader(port).state()["node"] == "left/geomid"
-    node.send(signal.SIGKILL)
-    node.status()
-    end = time.monotonic() + PATIENCE
-    while is_listening(port) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert not is_listening(port)
+    assert f"port {reader.port} of 127.0.0.1 is not available" in third.output
+    assert dashboard.end() == 0, dashboard.output
+    assert len(dashboard.output.splitlines()) == 1, dashboard.output

@@ -22,7 +22,7 @@ from .observer import latched
 from .processes import SOON
 from .rig import rigged
 from .stage import NO_CHOICE, WRIST, Stage, description
-from .test_catalogue_messages import MALFORMED
+from .test_catalogue_graph import MALFORMED
 
 ENDS_AT_ONCE = """
 import time
@@ -79,6 +79,9 @@ def test_a_player_that_is_told_to_end(number: signal.Signals, stage: Stage) -> N
     if number == signal.SIGINT:
         heard = stage.observer.collect(JointState, "/joint_states")
         stage.observer.wait_for(lambda: len(heard) > 10, "messages")
+        descriptions = stage.observer.collect(String, "/robot_description", latched(1))
+        stage.observer.wait_for(lambda: descriptions, "the description, which is kept for who comes late")
+        assert descriptions[0].data == (BAGS / "arm3.urdf").read_text()
     else:
         topics = stage.observer.node.get_topic_names_and_types
         stage.observer.wait_for(lambda: "/joint_states" in dict(topics()), "a player")

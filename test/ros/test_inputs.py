@@ -17,6 +17,7 @@ from geomid_ros.live.effort_predictor import Predicted
 from geomid_ros.live.threads import Received
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import serialised
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Account, Ledger
 
 from .domains import free_domain
@@ -119,6 +120,17 @@ def test_every_message_is_taken_lost_or_dropped(hearing: Hearing) -> None:
     assert hearing.ledger.topics[TOPIC].lost > 0
     assert hearing.ledger.topics[TOPIC].dropped == {"several publishers": 3}
     assert len(hearing.taken) == before
+
+
+def test_only_a_topic_that_is_merged_may_have_several_publishers(hearing: Hearing) -> None:
+    merging, taken = Inputs(hearing.observer.node, Ledger()), list[Received]()
+    merging.listen_as(Configuration({"merge_joint_states": True}))
+    for _ in range(2):
+        hearing.publisher(JointState, TOPIC, 2).publish(JointState())
+    hearing.observer.wait_for(lambda: taken.extend(merging.poll()) or len(taken) == 2, "both messages")
+    assert merging.problems == ()
+    (problem,) = hearing.inputs.problems
+    assert problem.startswith("/joint_states has 2 publishers; all its messages are dropped until one is left")
 
 
 @pytest.mark.parametrize("joints", [("a",), ("ab",), ("joint1", "j2", "joint_33"), tuple(f"j{n}" for n in range(30))])

@@ -76,7 +76,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
         stage.fed({"joint_states": count, "/wrench": count})
         observer.wait_for(lambda: has_come(run), "what was saved, on all topics")
         observer.diagnostics(lambda _, status: status.message.startswith("no messages"), "silence")
-        run.status = node.end()
+        run.status, run.output = node.end(), node.output
         run.saved_at_end = json.loads((out / "estimate.json").read_text())
     return run
 
@@ -242,4 +242,5 @@ def test_silence_is_reported(live: Live) -> None:
 
 def test_the_end_keeps_what_was_saved(live: Live) -> None:
     assert live.status == 0
+    assert "Dashboard" not in live.output, "without the parameter it has none"
     assert live.saved_at_end["links"] == live.saved["links"]

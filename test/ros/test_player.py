@@ -9,11 +9,9 @@ import pytest
 from files.recordings import BAGS, Recorded, made, recorded, write_bag
 from geometry_msgs.msg import Twist, WrenchStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
 from geomid_ros.ros.player import _message_class
 
-from .observer import latched
 from .processes import parameter_file
 from .stage import WRIST, Stage
 
@@ -75,16 +73,6 @@ def test_nothing_that_a_robot_would_follow_is_published_unless_named(stage: Stag
     refused = stage.play(bag, 8.0, "--topic", "cmd_velo")
     assert refused.status() == 2
     assert "Did you mean '/cmd_vel'?" in refused.output
-
-
-def test_the_description_is_kept_for_who_comes_late(stage: Stage) -> None:
-    heard = stage.observer.collect(JointState, "/joint_states")
-    player = stage.play(BAGS / "arm3", 2.0)
-    stage.observer.wait_for(lambda: len(heard) > 50, "joint states")
-    descriptions = stage.observer.collect(String, "/robot_description", latched(1))
-    stage.observer.wait_for(lambda: descriptions, "the description")
-    assert descriptions[0].data == (BAGS / "arm3.urdf").read_text()
-    assert player.running
 
 
 def test_a_bag_cannot_have_just_anything_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

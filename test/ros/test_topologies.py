@@ -46,6 +46,8 @@ class Setup:
 
     def __init__(self, stage: Stage, config: Path, urdf: str, *arguments: str, namespace: str = "") -> None:
         """``arguments`` of ROS; ``namespace`` like ``/cell``."""
+        description = String(data=urdf)  # is there before the node, as a robot_state_publisher keeps it
+        stage.observer.node.create_publisher(String, f"{namespace}/robot_description", latched(1)).publish(description)
         self.stage = stage
         self.name = f"{namespace}/geomid".lstrip("/")
         self._namespace = namespace
@@ -57,9 +59,6 @@ class Setup:
         stage.serving(self.node, self.name)
         self.inertias = stage.observer.collect(InertiaStamped, f"/{self.name}/inertias", latched())
         self.arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
-        stage.observer.node.create_publisher(String, f"{namespace}/robot_description", latched(1)).publish(
-            String(data=urdf)
-        )
         stage.observer.diagnostics(lambda _, status: "no messages on" in status.message, "a robot", self.name)
         self.sent: Counter[str] = Counter()
         self._publishers: dict[tuple[int, str], Publisher] = {}
