@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from geomid_ros.commands.excite import _LearningRounds
+from geomid_ros.errors import GeomidError
+
 from .processes import Process
-from .stage import Stage
+from .stage import Stage, staged
 from .test_excite_run import PATIENT, URDF, controller, states, status
 
 NOMINAL = 1.5  # [kg] of the last link with its tool in the URDF
@@ -32,18 +39,26 @@ def estimate(folder: Path) -> dict[str, Any]:
     return document
 
 
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    """With a robot, for all tests."""
+    with staged(tmp_path_factory.mktemp("learn")) as stage:
+        controller(stage)
+        yield stage
+
+
 def test_without_execute_and_without_consent_nothing_moves(stage: Stage) -> None:
     commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
-    heard = stage.observer.collect(JointState, "/joint_states")
-    controller(stage)
-    process = learn(stage)
+    heard, planned = stage.observer.collect(JointState, "/joint_states"), ("--out", stage.folder / "planned")
+    process = learn(stage, *planned)
     assert status(stage, process) == 0, process.output
     assert "Round 1: 1 x 3 s" in process.output
     assert "Approach: 0.200 rad (m) to the start" in process.output
     assert "Nothing has moved" in process.output
-    page = stage.folder / "out/round1/motion.html"
-    assert page.exists()
-    assert "round1 exists already; name another folder with --out" in refused(stage)
+    assert (stage.folder / "planned/round1/motion.html").exists()
+    again = learn(stage, *planned)
+    assert status(stage, again) == 2
+    assert "round1 exists already; name another folder with --out" in again.output.partition("Error: ")[2]
     asked = learn(stage, "--out", stage.folder / "asked", "--execute")  # nobody answers
     assert status(stage, asked) == 1
     assert "Run this motion" in asked.output
@@ -51,21 +66,21 @@ def test_without_execute_and_without_consent_nothing_moves(stage: Stage) -> None
     assert np.ptp([list(state.position) for state in heard]) == 0.0
 
 
-def refused(stage: Stage, *arguments: str | Path) -> str:
-    process = learn(stage, *arguments)
-    assert status(stage, process) == 2
-    return process.output.partition("Error: ")[2]
-
-
-def test_from_a_urdf_to_an_identified_robot(stage: Stage) -> None:
-    controller(stage)
+@pytest.fixture(scope="module")
+def learned(stage: Stage) -> Path:
+    """The folder of two rounds."""
     process = learn(stage, "--execute", "--yes", "--rounds", "2", *PATIENT)
     for said in ("Round 1:", "Masses after round 1", "Masses after round 2"):
         stage.observer.wait_for(lambda said=said: said in process.output or not process.running, said)
     assert status(stage, process) == 0, process.output
     assert "Stopped after 2 rounds (--rounds)" in process.output
-    rounds = sorted((stage.folder / "out").iterdir())
-    assert f"Identified from 2 rounds: {rounds[1] / 'identified.urdf'}" in process.output
+    out = stage.folder / "out"
+    assert f"Identified from 2 rounds: {out / 'round2/identified.urdf'}" in process.output
+    return out
+
+
+def test_from_a_urdf_to_an_identified_robot(learned: Path) -> None:
+    rounds = sorted(learned.iterdir())
     slow, fast = (np.array([s.message.velocity for s in states(folder / "recording")]) for folder in rounds)
     assert np.max(np.abs(slow)) < 0.5 * np.max(np.abs(fast))
     first, last = estimate(rounds[0]), estimate(rounds[-1])
@@ -80,31 +95,37 @@ def test_from_a_urdf_to_an_identified_robot(stage: Stage) -> None:
     assert abs(end["mass"] - HEAVIER * NOMINAL) < 0.5 * (HEAVIER - 1.0) * NOMINAL, "nearer to the truth than the URDF"
 
 
-def test_a_round_that_is_stopped_ends_it_and_the_way_to_go_on_is_said(stage: Stage) -> None:
+def test_it_goes_on_with_what_is_known_until_it_is_stopped(stage: Stage, learned: Path) -> None:
+    """And says how to start again, as long as nothing more is identified."""
     heard = stage.observer.collect(JointState, "/joint_states")
-    controller(stage)
-    process = learn(stage, *IN_TIME, "--execute", "--yes", *PATIENT)
+    known = ("--from", learned / "round2/estimate.json", "--out", stage.folder / "on")
+    process = learn(stage, *IN_TIME, *known, "--execute", "--yes", *PATIENT)
 
-    def in_round_2() -> bool:
+    def moves() -> bool:
         assert process.running, process.output
-        announced = "the motion:" in process.output.partition("Round 2:")[2]
-        return announced and bool(np.max(np.abs(heard[-1].velocity)) > MOVING)
+        return "the motion:" in process.output and bool(np.max(np.abs(heard[-1].velocity)) > MOVING)
 
-    stage.observer.wait_for(in_round_2, "the motion of round 2")
+    stage.observer.wait_for(moves, "the motion")
     process.send(signal.SIGINT)
     assert status(stage, process) == 2
-    said, first = process.output.partition("Error: ")[2], stage.folder / "out/round1"
-    assert "round 2: the motion was stopped: interrupted. The robot is at rest." in said
-    assert f"The result so far is in {first}. To continue, repeat the command with --from {first}" in said
-    on = learn(stage, *IN_TIME, "--from", first / "estimate.json", "--out", stage.folder / "on")
-    assert status(stage, on) == 0, on.output
-    reports = (stage.folder / out / "round1/excitation.json" for out in ("out", "on"))
-    nothing, known = (json.loads(report.read_text())["expected"]["before"]["error"] for report in reports)
-    assert known < 0.5 * nothing
-
-
-def test_before_anything_is_identified_there_is_nothing_to_go_on_from(stage: Stage) -> None:
-    controller(stage)
-    said = refused(stage, "--execute", "--yes", "--controller", "/nobody")
-    assert "round 1: --controller /nobody" in said
+    said = process.output.partition("Error: ")[2]
+    assert "round 1: the motion was stopped: interrupted. The robot is at rest." in said
     assert "Nothing is identified yet. To start again, repeat the command with another --out" in said
+    reports = (stage.folder / out / "round1/excitation.json" for out in ("out", "on"))
+    before, after = (json.loads(report.read_text())["expected"]["before"]["error"] for report in reports)
+    assert after < 0.5 * before
+
+
+def test_after_a_round_the_way_to_go_on_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: Any, **__: Any) -> None:
+        raise GeomidError("the motion was stopped")
+
+    monkeypatch.setattr("geomid_ros.commands.excite._run_motion", stopped)
+    anything: Any = SimpleNamespace(text="", source="", trajectory=None)
+    rounds = _LearningRounds(
+        robot=anything, chosen=anything, asked=anything, out=tmp_path, number=2, identified=1, found=anything
+    )
+    first = tmp_path / "round1"
+    way = f"The result so far is in {first}. To continue, repeat the command with --from {first / 'estimate.json'}"
+    with pytest.raises(GeomidError, match=re.escape(f"round 2: the motion was stopped. {way} and another --out")):
+        rounds.run(anything, execute=True)

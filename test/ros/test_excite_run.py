@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from benchmarks.trajectory_controller import GONE, STRONG
+from benchmarks.trajectory_controller import STRONG
 from geomid_ros.excitation.limits import MotionMonitor
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories import read_trajectory
@@ -24,23 +24,53 @@ from geomid_ros.ros.excite import MotionRequest, prepared_run
 from geomid_ros.session.options import RunOptions
 
 from .processes import Process
-from .stage import Stage
+from .stage import Stage, staged
 
 JOINTS = ("joint1", "joint2", "joint3")
 URDF = BAGS / "arm3.urdf"
 START = 0.2  # [rad] of all joints
 # However busy the machine is, a robot that does as it is told must not be stopped.
 PATIENT = ("--silence", "100", "--tolerance", "0.5")
-FAST = ("--speed", "1", "--execute")
 
 
 def controller(stage: Stage, start: float = START) -> Process:
     return stage.start("benchmarks.trajectory_controller", "--urdf", URDF, "--rate", "50", "--start", str(start))
 
 
-def excite(stage: Stage, motion: Motion, *arguments: str | Path) -> Process:
-    path = motion.write(stage.folder / "trajectory.yaml", 100)
-    return stage.start("geomid_ros", "excite", "run", path, "--out", stage.folder / "out", *arguments)
+class Robot:
+    """A simulated robot, and what it is commanded and says."""
+
+    def __init__(self, stage: Stage, start: float) -> None:
+        self.stage, self.observer = stage, stage.observer
+        self.commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
+        self.heard = stage.observer.collect(JointState, "/joint_states")
+        self.process = controller(stage, start)
+
+    def excite(self, motion: Motion, out: str, *arguments: str | Path) -> Process:
+        path = motion.write(self.stage.folder / f"{out}.yaml", 100)
+        return self.stage.start("geomid_ros", "excite", "run", path, "--out", self.stage.folder / out, *arguments)
+
+    def under_way(self, out: str, *arguments: str) -> Process:
+        """A run in the middle of its motion."""
+        process = self.excite(bump(JOINTS, 20.0, amplitude=1.5), out, "--speed", "1", "--execute", *arguments)
+
+        def moving() -> bool:
+            assert process.running, process.output
+            return "the motion:" in process.output and bool(self.heard[-1].position[0] > START + 0.1)
+
+        self.observer.wait_for(moving, "the motion")
+        return process
+
+    def set_fault(self, fault: str) -> None:
+        faults = self.observer.node.create_publisher(String, "/joint_trajectory_controller/fault", 10)
+        self.observer.wait_for(faults.get_subscription_count, "the robot")
+        faults.publish(String(data=fault))
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    with staged(tmp_path_factory.mktemp("robot")) as stage:
+        yield Robot(stage, start=-0.3)
 
 
 def status(stage: Stage, process: Process) -> int:
@@ -61,26 +91,40 @@ def column(messages: list[Any], name: str) -> np.ndarray[Any, np.dtype[np.float6
     return np.array([list(getattr(message, name)) for message in messages])
 
 
-def test_without_execute_nothing_moves(stage: Stage) -> None:
-    commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
-    heard = stage.observer.collect(JointState, "/joint_states")
-    controller(stage, start=0.5)
-    process = excite(stage, bump(JOINTS, 4.0))
-    assert status(stage, process) == 0, process.output
-    assert "Approach: 0.300 rad (m) to the start" in process.output
+def test_without_execute_nothing_moves(robot: Robot) -> None:
+    process = robot.excite(bump(JOINTS, 4.0), "nothing")
+    assert status(robot.stage, process) == 0, process.output
+    assert "Approach: 0.500 rad (m) to the start" in process.output
     assert "Motion: 20.0 s at 20 % of its speed" in process.output
     assert "Nothing has moved" in process.output
-    assert commands == []
-    assert np.all(column(heard, "position") == 0.5)
-    assert not (stage.folder / "out").exists()
+    assert robot.commands == []
+    assert np.all(column(robot.heard, "position") == -0.3)
+    assert not (robot.stage.folder / "nothing").exists()
 
 
-def test_it_goes_slowly_to_the_start_then_through_the_motion_and_records_both(stage: Stage) -> None:
-    controller(stage, start=-0.3)
+def test_what_is_missing_or_in_the_way_is_named_before_anything_moves(robot: Robot) -> None:
+    other = robot.stage.folder / "changed.yaml"
+    other.write_text(yaml.safe_dump({**bump(JOINTS, 4.0).document(20), "joint_names": ["joint1", "joint2", "x"]}))
+    missing, overlap, excluded = refused(
+        robot.stage,
+        ("--controller", "/arm_controller", "--execute"),
+        ("--execute", "--avoid", "box:0,0,0.6,0.5,0.5,0.5"),
+        ("--no-collision", "--avoid", "plane:0,0,1,-1"),
+    )
+    assert "nothing subscribes to /arm_controller/joint_trajectory" in missing
+    assert "available: /joint_trajectory_controller" in missing
+    assert "at the present pose, " in overlap
+    assert " and box:0,0,0.6,0.5,0.5,0.5 overlap by " in overlap
+    assert "exclude each other" in excluded
+    assert "unknown joint of topic robot_description" in refused(robot.stage, (), motion=other)[0]
+    assert robot.commands == []
+
+
+def test_it_goes_slowly_to_the_start_then_through_the_motion_and_records_both(robot: Robot) -> None:
     motion = bump(JOINTS, 3.0)
-    process = excite(stage, motion, "--speed", "0.5", "--execute", *PATIENT)
-    assert status(stage, process) == 0, process.output
-    bag = stage.folder / "out/run1"
+    process = robot.excite(motion, "slowly", "--speed", "0.5", "--execute", *PATIENT)
+    assert status(robot.stage, process) == 0, process.output
+    bag = robot.stage.folder / "slowly/run1"
     assert f"Next: geomid identify {bag}" in process.output
     (description,) = [item for item in recorded(bag) if item.topic == "/robot_description"]
     assert description.message.data == URDF.read_text()
@@ -101,57 +145,9 @@ def test_it_goes_slowly_to_the_start_then_through_the_motion_and_records_both(st
     np.testing.assert_allclose(positions[-1], START, atol=1e-6)
 
 
-def under_way(stage: Stage, motion: Motion, *arguments: str) -> tuple[Process, list[Any], list[Any]]:
-    """A run in the middle of its motion, with the joint states and commands so far."""
-    commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
-    heard = stage.observer.collect(JointState, "/joint_states")
-    process = excite(stage, motion, *FAST, *arguments)
-
-    def moving() -> bool:
-        assert process.running, process.output
-        return "the motion:" in process.output and bool(heard) and heard[-1].position[0] > START + 0.1
-
-    stage.observer.wait_for(moving, "the motion")
-    return process, heard, commands
-
-
-def rests(stage: Stage, heard: list[Any], commands: list[Any]) -> None:
-    """The last command leads to rest, and the robot has followed it."""
-    (point,) = commands[-1].points
-    assert list(point.velocities) == [0.0] * 3
-    stage.observer.wait_for(lambda: np.allclose(heard[-1].position, point.positions, atol=1e-6), "rest")
-
-
-# What is done to the robot, and what is said. That of Ctrl-C is in test_excite_learn.py.
-STOPS = {
-    "an effort": (STRONG, "the effort of joint 'joint1' is"),
-    "a controller that is gone": (GONE, "the controller "),  # is gone, or does not follow: whichever is seen first
-}
-
-
-@pytest.mark.parametrize("case", STOPS)
-def test_what_goes_wrong_stops_it_and_the_bag_is_whole(case: str, stage: Stage) -> None:
-    fault, said = STOPS[case]
-    robot = controller(stage)
-    process, heard, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), *PATIENT)
-    faults = stage.observer.node.create_publisher(String, "/joint_trajectory_controller/fault", 10)
-    stage.observer.wait_for(faults.get_subscription_count, "the robot")
-    faults.publish(String(data=fault))
-    assert status(stage, process) == 2
-    assert f"Error: the motion was stopped: {said}" in process.output
-    assert f"stopping: {said}" in process.output
-    assert len(states(stage.folder / "out/run1")) > 10
-    assert robot.running
-    if fault != GONE:
-        rests(stage, heard, commands)
-    assert "The robot is at rest" in process.output
-
-
-def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_of_our_own_stops_it_too(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """In this process, with a watch that fails; until then a signal to end is taken as Ctrl-C is."""
-    controller(stage)
-    commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
-    path = bump(JOINTS, 20.0).write(stage.folder / "trajectory.yaml", 100)
+    path, bag = bump(JOINTS, 20.0).write(robot.stage.folder / "failing.yaml", 100), robot.stage.folder / "failing"
     order = MotionRequest(
         motion=read_trajectory(path),
         source=str(path),
@@ -164,29 +160,47 @@ def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.Monk
         assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
         raise RuntimeError("a defect")
 
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(stage.domain))
-    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(robot.stage.domain))
+    before, earlier = signal.getsignal(signal.SIGINT), len(robot.commands)
     said: list[str] = []
     with prepared_run(order) as run:
         monkeypatch.setattr(MotionMonitor, "check", fail)
         with pytest.raises(RuntimeError, match="a defect"):
-            run.execute(stage.folder / "run1", said.append)
+            run.execute(bag, said.append)
     assert said[-1] == "stopping: RuntimeError('a defect')"
     assert signal.getsignal(signal.SIGINT) is before
-    stage.observer.wait_for(lambda: commands and len(commands[-1].points) == 1, "the command to rest")
-    states(stage.folder / "run1")
+    robot.observer.wait_for(
+        lambda: len(robot.commands) > earlier and len(robot.commands[-1].points) == 1, "the command to rest"
+    )
+    states(bag)
 
 
-def test_a_robot_that_is_killed_is_silent(stage: Stage) -> None:
-    robot = controller(stage)
-    process, _, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), "--silence", "3", "--tolerance", "0.5")
-    robot.send(signal.SIGKILL)
-    assert status(stage, process) == 2
-    (point,) = commands[-1].points
+def test_what_goes_wrong_stops_it_and_the_bag_is_whole(robot: Robot) -> None:
+    """An effort; Ctrl-C is in test_excite_learn.py. The last command leads to rest, and the robot follows it."""
+    process, said = robot.under_way("effort", *PATIENT), "the effort of joint 'joint1' is"
+    robot.set_fault(STRONG)
+    assert status(robot.stage, process) == 2
+    assert f"Error: the motion was stopped: {said}" in process.output
+    assert f"stopping: {said}" in process.output
+    assert "The robot is at rest" in process.output
+    assert len(states(robot.stage.folder / "effort/run1")) > 10
+    assert robot.process.running
+    (point,) = robot.commands[-1].points
+    assert list(point.velocities) == [0.0] * 3
+    robot.observer.wait_for(lambda: np.allclose(robot.heard[-1].position, point.positions, atol=1e-6), "rest")
+
+
+def test_a_robot_that_is_killed_is_silent(robot: Robot) -> None:
+    """At the end of all tests of it."""
+    robot.set_fault("")
+    process = robot.under_way("killed", "--silence", "3", "--tolerance", "0.5")
+    robot.process.send(signal.SIGKILL)
+    assert status(robot.stage, process) == 2
+    (point,) = robot.commands[-1].points
     assert list(point.velocities) == [0.0] * 3
     assert "stopping: no joint states for" in process.output
     assert "It is not known whether the robot is at rest" in process.output
-    assert len(states(stage.folder / "out/run1")) > 10
+    assert len(states(robot.stage.folder / "killed/run1")) > 10
 
 
 def refused(stage: Stage, *runs: Sequence[str | Path], motion: Path | None = None) -> list[str]:
@@ -199,30 +213,19 @@ def refused(stage: Stage, *runs: Sequence[str | Path], motion: Path | None = Non
     return [process.output.partition("Error: ")[2] for process in started]
 
 
-def test_what_is_not_there_is_named(stage: Stage) -> None:
+def test_without_a_robot_or_out_of_its_range_nothing_is_commanded(stage: Stage) -> None:
+    """The first joint's range ends at 2.8."""
     described, heard = refused(stage, (), ("--urdf", URDF))
     assert "no message on robot_description; give the URDF with --urdf" in described
     assert "no joint states on /joint_states: check that the driver runs" in heard
-    controller(stage)
-    (message,) = refused(stage, ("--controller", "/arm_controller", "--execute"))
-    assert "nothing subscribes to /arm_controller/joint_trajectory" in message
-    assert "available: /joint_trajectory_controller" in message
-    other = stage.folder / "changed.yaml"
-    other.write_text(yaml.safe_dump({**bump(JOINTS, 4.0).document(20), "joint_names": ["joint1", "joint2", "x"]}))
-    assert "unknown joint of topic robot_description" in refused(stage, (), motion=other)[0]
+    node = stage.observer.node
+    states = node.create_publisher(JointState, "joint_states", 10)
 
+    def say() -> None:
+        message = JointState(name=JOINTS, position=[2.9] * 3, velocity=[0.0] * 3, effort=[0.0] * 3)
+        message.header.stamp = node.get_clock().now().to_msg()
+        states.publish(message)
 
-def test_a_robot_that_is_out_of_its_range_is_not_moved(stage: Stage) -> None:
-    """The first joint's range ends at 2.8."""
-    controller(stage, start=2.9)
-    (message,) = refused(stage, ("--execute",))
+    node.create_timer(0.02, say)
+    (message,) = refused(stage, ("--urdf", URDF, "--execute"))
     assert "joint 'joint1' is at 2.900, outside its range -2.8 to 2.8 in the URDF: move it back" in message
-
-
-def test_what_is_in_the_way_is_named_before_anything_moves(stage: Stage) -> None:
-    controller(stage)
-    inside = ("--execute", "--avoid", "box:0,0,0.6,0.5,0.5,0.5")
-    overlap, excluded = refused(stage, inside, ("--no-collision", "--avoid", "plane:0,0,1,-1"))
-    assert "at the present pose, " in overlap
-    assert " and box:0,0,0.6,0.5,0.5,0.5 overlap by " in overlap
-    assert "exclude each other" in excluded
