@@ -23,6 +23,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
 from signals.feeding import completed
 
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.archive import decoded
 from geomid_ros.files.checkpoints import Checkpoint
@@ -32,6 +33,7 @@ from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
+from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger
@@ -91,32 +93,44 @@ def told(stage: Stage, look: Callable[[DiagnosticStatus, dict[str, str]], bool],
     return stage.observer.wait_for(find, what)
 
 
-def test_killed_at_random_it_goes_on_with_what_was_safe(tmp_path: Path) -> None:
-    """With an estimate before any message has come, and counting on. Each in a domain of its own: in the same one a
-    killed node is known for some seconds."""
-    folder, rng = tmp_path / "kept", np.random.default_rng(0)
-    safe = accepted = 0
-    for life in range(2):
-        (tmp_path / str(life)).mkdir()
-        with staged(tmp_path / str(life)) as stage:
-            inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
-            node = stage.node(keeping(folder))
-            known = told(stage, lambda *_: True, "a node")
-            assert int(known["rows"]) >= safe
-            assert ("resumed from" in known["beginning"]) == (safe > 0)
-            if safe:
-                stage.observer.wait_for(lambda heard=inertias: heard, "an estimate")
-            stage.observer.publish(MESSAGES[:HALF], KINDS)
-            # More than it began with: the one before may have kept more than it had told of.
-            resumed = int(known["rows"])
-            values = told(stage, lambda _, values, least=resumed: int(values["rows"]) > least, "rows that are safe")
-            safe = int(values["rows"])
-            stage.observer.publish(killing(node, MESSAGES[HALF:], int(rng.integers(HALF))), KINDS)
-            assert node.status() == -signal.SIGKILL
-        newest = generations(folder)[-1]
-        assert newest.memory.summary.rows >= safe
-        before, accepted = accepted, newest.accounts["joint_states"].accepted
-        assert before < accepted <= before + 2 * EACH
+def test_killed_and_told_to_end_it_goes_on_with_what_was_safe(tmp_path: Path) -> None:
+    """With an estimate before any message has come, and counting on; told to end, it keeps everything. Each life in a
+    domain of its own: in the same one a killed node is known for some seconds."""
+    folder, out = tmp_path / "kept", tmp_path / "out"
+    for life in ("killed", "ended"):
+        (tmp_path / life).mkdir()
+    with staged(tmp_path / "killed") as stage:
+        node = stage.node(keeping(folder))
+        assert "resumed from" not in told(stage, lambda *_: True, "a node")["beginning"]
+        stage.observer.publish(MESSAGES[:HALF], KINDS)
+        safe = int(told(stage, lambda _, values: int(values["rows"]) > 0, "rows that are safe")["rows"])
+        at = int(np.random.default_rng(0).integers(HALF))
+        stage.observer.publish(killing(node, MESSAGES[HALF:], at), KINDS)
+        assert node.status() == -signal.SIGKILL
+    newest = generations(folder)[-1]
+    assert newest.memory.summary.rows >= safe
+    assert 0 < newest.accounts["joint_states"].accepted <= 2 * EACH
+    alone = session()
+    alone.restore(newest)
+    fed(alone, HALF, len(MESSAGES))
+    with staged(tmp_path / "ended") as stage:
+        inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
+        node = stage.node({**keeping(folder, 3600.0), "output_folder": str(out)})
+        known = told(stage, lambda *_: True, "a node")
+        assert int(known["rows"]) == newest.memory.summary.rows
+        assert "resumed from" in known["beginning"]
+        stage.observer.wait_for(lambda: inertias, "an estimate")
+        stage.observer.publish(MESSAGES[HALF:], KINDS)
+        stage.fed({topic: account.received + EACH for topic, account in newest.accounts.items()})
+        assert stage.observer.trigger("/geomid/save")[0]
+        assert node.end(signal.SIGTERM) == 0
+    last, saved, expected = generations(folder)[-1], json.loads((out / "estimate.json").read_text()), alone.identifier
+    assert last.memory.summary.rows == saved["rows"]["accepted"] == expected.rows
+    masses = [link.mass for link in expected.solve().links]
+    assert [link["mass"] for link in saved["links"]] == pytest.approx(masses, rel=1e-6)
+    assert {topic: account.accepted for topic, account in last.accounts.items()} == {
+        topic: account.accepted + EACH for topic, account in newest.accounts.items()
+    }
 
 
 def killing(node: Any, part: list[Any], at: int) -> Iterator[Any]:
@@ -127,39 +141,24 @@ def killing(node: Any, part: list[Any], at: int) -> Iterator[Any]:
         yield item
 
 
-def test_told_to_end_it_keeps_everything(stage: Stage, tmp_path: Path) -> None:
-    """Two halves of a bag, a node for each, are one robot: what the rows of both say, and all messages of both."""
-    folder, out = tmp_path / "kept", tmp_path / "out"
-    parameters = {**keeping(folder, 3600.0), "output_folder": str(out)}
-    alone = session()
-    for number, begin in ((signal.SIGTERM, 0), (signal.SIGINT, HALF)):
-        node = stage.node(parameters)
-        stage.observer.publish(MESSAGES[begin : begin + HALF], KINDS)
-        count = EACH * (1 + (begin > 0))
-        stage.fed({"joint_states": count, "/wrench": count})
-        assert stage.observer.trigger("/geomid/save")[0]
-        assert node.end(number) == 0
-        fed(alone, begin, begin + HALF)
-        assert rows(folder) == alone.identifier.rows
-    saved = json.loads((out / "estimate.json").read_text())
-    expected = alone.identifier.solve()
-    assert saved["rows"]["accepted"] == expected.rows_accepted
-    assert [link["mass"] for link in saved["links"]] == pytest.approx([link.mass for link in expected.links], rel=1e-6)
-    accounts = generations(folder)[-1].accounts
-    assert {topic: account.accepted for topic, account in accounts.items()} == {
-        "joint_states": len(MESSAGES) // 2,
-        "/wrench": len(MESSAGES) // 2,
-    }
+def supervised(**parameters: Any) -> Supervisor:
+    """What a node does without ROS, with a robot, as it solves only when it is asked."""
+    configuration = Configuration({**FLAT, "solve_period": 3600.0, **parameters})
+    node = Supervisor(configuration, Ledger(), logging.getLogger(), Listener(), None)
+    node.build(description("arm3"), "arm3.urdf")
+    return node
 
 
-def test_without_a_place_for_checkpoints_it_estimates(stage: Stage, tmp_path: Path) -> None:
+def test_without_a_place_for_checkpoints_it_estimates(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    node = stage.node(keeping(tmp_path / "file"))
-    inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
-    stage.observer.publish(MESSAGES[:HALF], KINDS)
-    stage.observer.wait_for(lambda: inertias, "an estimate")
-    told(stage, lambda status, _: status.level == DiagnosticStatus.ERROR and "file" in status.message, "an error")
-    assert node.end() == 0
+    node: Any = supervised(**{"checkpoint.folder": str(tmp_path / "file")})
+    with closing(node):
+        fed(node.worker.session, 0, HALF)
+        assert isinstance(final_estimate(node.worker), Estimate)
+        status = node.worker.status(active=True)
+        _, told, *_ = Diagnostics("geomid").array(status, checkpoints=node.checkpoints.status).status
+    assert (told.name, told.level) == ("geomid: checkpoints", DiagnosticStatus.ERROR)
+    assert str(tmp_path / "file") in told.message
     assert (tmp_path / "file").read_text() == "in the way"
 
 
@@ -192,8 +191,11 @@ def test_a_disk_that_fails_is_reported_and_tried_again(tmp_path: Path, monkeypat
             assert rows_safe(kept) < of.identifier.rows
         wait_until(lambda: rows_safe(kept) == of.identifier.rows)
         assert kept.status.problem == ""
+        assert rows(tmp_path) == of.identifier.rows
+        of.identifier.reset()
+        wait_until(lambda: rows_safe(kept) == 0)
     assert not list((tmp_path / "idle").glob("checkpoint*")), "there was nothing to write"
-    assert rows(tmp_path) == of.identifier.rows
+    assert rows(tmp_path) == 0, "what was to be forgotten is"
 
 
 def test_a_disk_that_is_slow_is_reported_and_waited_for_by_nobody(
@@ -209,29 +211,16 @@ def test_a_disk_that_is_slow_is_reported_and_waited_for_by_nobody(
         now[0] += 2.0 * SOON
         assert "the disk is slow" in kept.status.problem
         fed(of, HALF, len(MESSAGES))
+        kept.close()
         assert rows_safe(kept) == 0
         may_go_on.set()
         wait_until(lambda: rows_safe(kept) == of.identifier.rows and not kept.status.problem)
 
 
-def test_the_end_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    may_go_on = threading.Event()
-    monkeypatch.setattr(os, "fsync", lambda _: may_go_on.wait(PATIENCE))
-    of = session()
-    kept = Checkpoints(of, tmp_path, 3600.0)
-    fed(of, 0, HALF)
-    kept.close()
-    assert rows_safe(kept) == 0
-    may_go_on.set()
-    wait_until(lambda: rows_safe(kept) == of.identifier.rows)
-
-
 def test_the_next_session_waits_for_a_slow_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It needs the folder, which the one before has until its last checkpoint is written."""
-    parameters = {**FLAT, "checkpoint.folder": str(tmp_path), "checkpoint.period": 3600.0, "solve_period": 3600.0}
-    node = Supervisor(Configuration(parameters), Ledger(), logging.getLogger(), Listener(), None)
+    node = supervised(**{"checkpoint.folder": str(tmp_path), "checkpoint.period": 3600.0})
     monkeypatch.setattr(supervisor, "HANDOVER", PATIENCE)
-    node.build(description("arm3"), "arm3.urdf")
     assert node.worker is not None
     rows = fed(node.worker.session, 0, HALF).identifier.rows
     with monkeypatch.context() as slow:
@@ -248,9 +237,7 @@ def test_what_is_saved_late_is_reported_as_it_is(
     ends: bool, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Another one may be saved at the same time; and saving goes on while the last checkpoint is written."""
-    parameters = {**FLAT, "output_folder": str(tmp_path), "solve_period": 3600.0}
-    node = Supervisor(Configuration(parameters), Ledger(), logging.getLogger(), Listener(), None)
-    node.build(description("arm3"), "arm3.urdf")
+    node = supervised(output_folder=str(tmp_path))
     assert node.worker is not None
     fed(node.worker.session, 0, HALF)
     final_estimate(node.worker)
@@ -268,16 +255,6 @@ def test_what_is_saved_late_is_reported_as_it_is(
     node.close()
     assert re.search(said, caplog.messages[-1])
     assert ends or other.release() is None
-
-
-def test_what_was_to_be_forgotten_is(tmp_path: Path) -> None:
-    of = session()
-    with closing(Checkpoints(of, tmp_path, SOON)) as kept:
-        fed(of, 0, HALF)
-        wait_until(lambda: rows_safe(kept) == of.identifier.rows > 0)
-        of.identifier.reset()
-        wait_until(lambda: rows_safe(kept) == 0)
-    assert rows(tmp_path) == 0
 
 
 def test_the_first_solve_begins_where_the_last_ended(tmp_path: Path) -> None:

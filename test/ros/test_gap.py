@@ -20,7 +20,7 @@ from geomid_ros.simulation.recording import simulate
 
 from .observer import latched
 from .spoiling import later
-from .stage import Stage, description, messages, staged
+from .stage import Stage, description, staged
 
 URDF = BAGS / "arm3.urdf"
 ARM3 = {"robot_description": description("arm3")}
@@ -65,30 +65,37 @@ class Found:
     """What the node says, and what is said of the bag."""
 
     offline: dict[str, Any]
-    answers: list[tuple[bool, str]] = field(default_factory=list)
+    short: list[str] = field(default_factory=list)
     live: dict[str, Any] = field(default_factory=dict)
-    late: dict[str, Any] = field(default_factory=dict)
     watched: Any = None
     status: Any = None
 
 
 @pytest.fixture(scope="module")
 def found(rubbing: list[Recorded], tmp_path_factory: pytest.TempPathFactory) -> Found:
-    """A node that hears the arm, and is asked."""
+    """A node that hears the arm, and is asked: before any data, too soon, and in the end."""
     folder = tmp_path_factory.mktemp("found")
     bag = write_bag(folder / "bag", rubbing)
     run = Found(json.loads(done("gap", bag, "--urdf", URDF, "--out", folder / "out", "--json", "--no-report")))
     with staged(folder) as stage:
-        node = stage.node({**ARM3, "solve_period": 0.5})
-        stage.observer.publish(rubbing, {"/joint_states": JointState})
-        stage.fed({"joint_states": len(rubbing)})
-        run.watched = stage.observer.diagnostics(lambda values, _: "gap joint1" in values, "a watch").status[0]
+        node, trigger = stage.node({**ARM3, "solve_period": 0.5}), stage.observer.trigger
         findings = stage.observer.collect(String, "/geomid/gap", latched())
-        run.answers = [stage.observer.trigger("/geomid/find_gap") for _ in range(2)]
-        stage.observer.wait_for(lambda: findings, "a finding")
+        assert trigger("/geomid/find_gap") == (False, "no data yet")
+        for begin, end in ((0, 20), (20, 150), (150, len(rubbing))):
+            stage.observer.publish(rubbing[begin:end], {"/joint_states": JointState})
+            stage.fed({"joint_states": end})
+            if end == len(rubbing):
+                run.watched = stage.observer.diagnostics(lambda values, _: "gap joint1" in values, "a watch").status[0]
+            findings.clear()
+            assert trigger("/geomid/find_gap") == LOOKING
+            if end == len(rubbing):
+                assert trigger("/geomid/find_gap") == (False, "already running; the result is published on ~/gap")
+            stage.observer.wait_for(lambda: findings, "a finding")
+            run.live = json.loads(findings[0].data)
+            run.short += [run.live["error"]] if "error" in run.live else []
         late = stage.observer.collect(String, "/geomid/gap", latched())
         stage.observer.wait_for(lambda: late, "a finding for those who come late")
-        run.live, run.late = json.loads(findings[-1].data), json.loads(late[-1].data)
+        assert late[-1].data == findings[0].data
         run.status = finding(stage)
         assert node.end() == 0
     return run
@@ -108,8 +115,11 @@ def finding(stage: Stage) -> Any:
     return stage.observer.wait_for(look, "a status of the finding")
 
 
-def test_the_answer_comes_at_once(found: Found) -> None:
-    assert found.answers == [LOOKING, (False, "already running; the result is published on ~/gap")]
+def test_too_little_is_answered_with_one_sentence(found: Found) -> None:
+    assert len(found.short) == 2
+    for sentence in found.short:
+        assert sentence.startswith("no finding: too short: ")
+        assert "half a minute" in sentence
 
 
 OF_PAGES = {
@@ -139,21 +149,14 @@ def test_live_finds_what_is_found_in_the_bag(found: Found) -> None:
         assert ratios == pytest.approx(found.offline["gap"][kind], rel=1e-6)
 
 
-def test_who_comes_late_gets_the_finding(found: Found) -> None:
-    assert found.late == found.live
-
-
 def test_diagnostics_tell_the_finding(found: Found) -> None:
+    """What was there from the beginning opens no gap: the estimate has it."""
     values = {pair.key: pair.value for pair in found.status.values}
     assert found.status.level == DiagnosticStatus.WARN
     assert "Coulomb friction at joint2" in found.status.message
     assert values["verdict"] == found.live["verdict"]
     assert values["finding 1"] == found.live["findings"][0]["sentence"]
     assert float(values["joint2 before"]) > 2.0 > float(values["joint2 after"])
-
-
-def test_what_was_there_from_the_beginning_opens_no_gap(found: Found) -> None:
-    """The estimate has it."""
     assert {"gap joint1", "gap joint2", "gap joint3"} <= {pair.key for pair in found.watched.values}
     assert "gap" not in found.watched.message
 
@@ -199,29 +202,3 @@ def test_friction_that_grows_opens_a_gap(stage: Stage, rubbing: list[Recorded], 
     assert observer.trigger("/geomid/find_gap") == LOOKING
     assert node.end() == 0, "though it looks"
     assert (tmp_path / "out/estimate.json").exists()
-
-
-def test_what_cannot_be_looked_at_is_refused(stage: Stage) -> None:
-    """Too little is answered with one sentence."""
-    waiting = stage.node({}, "-r", "__ns:=/waiting", ready=False)
-    forgetful = stage.node({**ARM3, "gap.memory": 0.0}, "-r", "__ns:=/forgetful", ready=False)
-    stage.node(ARM3)
-    stage.serving(waiting, "waiting/geomid")
-    stage.serving(forgetful, "forgetful/geomid")
-    trigger = stage.observer.trigger
-    assert trigger("/waiting/geomid/find_gap") == (False, "no robot description yet")
-    assert trigger("/forgetful/geomid/find_gap") == (False, "no messages in memory: the parameter gap.memory is 0")
-    assert trigger("/geomid/find_gap") == (False, "no data yet")
-    findings = stage.observer.collect(String, "/geomid/gap", latched())
-    items = [item for item in messages() if item.topic == "/joint_states"]
-    for begin, end in ((0, 20), (20, 150)):
-        findings.clear()
-        stage.observer.publish(items[begin:end], {"/joint_states": JointState})
-        stage.fed({"joint_states": end})
-        assert trigger("/geomid/find_gap") == LOOKING
-        stage.observer.wait_for(lambda: findings, "an answer")
-        sentence = json.loads(findings[0].data)["error"]
-        assert sentence.startswith("no finding: too short: ")
-        assert "half a minute" in sentence
-    status = finding(stage)
-    assert (status.level, status.message) == (DiagnosticStatus.WARN, sentence)

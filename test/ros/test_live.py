@@ -106,10 +106,13 @@ def test_every_message_is_received_and_accepted(live: Live) -> None:
         assert live.stream[f"{topic} received"] == live.stream[f"{topic} accepted"] == count
     assert not [key for key in live.stream if "rejected" in key or "dropped" in key]
     assert live.stream["queue"] == "0"
+    assert "Dashboard" not in live.output, "without the parameter it has none"
 
 
 def test_live_equals_the_bag(live: Live) -> None:
     assert live.answer[0], live.answer
+    assert live.status == 0
+    assert live.saved_at_end["links"] == live.saved["links"]
     assert live.saved["rows"] == live.offline["rows"]
     assert live.links == [link["name"] for link in live.offline["links"]]
     for ours, theirs in zip(live.saved["links"], live.offline["links"], strict=True):
@@ -125,10 +128,13 @@ def test_live_equals_the_bag(live: Live) -> None:
 
 def test_the_last_estimate_is_the_saved_one_with_its_description(live: Live) -> None:
     told = json.loads(live.estimates[-1].data)
-    assert told.pop("robot_description") == live.urdf
+    assert told.pop("robot_description") == live.descriptions[-1].data == live.urdf
     assert live.late_estimates[-1].data == live.estimates[-1].data
     differing = {key for key in told.keys() | live.saved.keys() if told.get(key) != live.saved.get(key)}
     assert differing <= {"messages", "warnings", "notes"}  # which go on
+    bodies = {body.name: body for body in Robot(live.urdf, cuts=["wrist_ft"]).bodies}
+    for link in live.saved["handover"]["urdf"]["links"]:
+        assert bodies[link["name"]].parameters[0] == pytest.approx(link["mass"], rel=1e-8)
 
 
 def of_message(message: InertiaStamped) -> dict[str, Any]:
@@ -150,13 +156,6 @@ def test_the_last_inertias_are_the_saved_ones(live: Live) -> None:
         assert last == [{key: link[key] for key in last[0]} for link in live.saved["links"]]
     assert len(live.inertias) % number == 0
     assert [message.header.frame_id for message in live.inertias[:number]] == live.links
-
-
-def test_the_published_description_is_the_identified_urdf(live: Live) -> None:
-    assert live.descriptions[-1].data == live.urdf
-    bodies = {body.name: body for body in Robot(live.urdf, cuts=["wrist_ft"]).bodies}
-    for link in live.saved["handover"]["urdf"]["links"]:
-        assert bodies[link["name"]].parameters[0] == pytest.approx(link["mass"], rel=1e-8)
 
 
 def test_markers(live: Live) -> None:
@@ -211,7 +210,8 @@ def test_predicted_efforts_have_standard_deviations_of_the_same_instants(live: L
 
 
 def test_diagnostics(live: Live) -> None:
-    """One array about every second; one status per link, `node: link`, and one for the stream; a scalar per key."""
+    """One array about every second; one status per link, `node: link`, and one for the stream; a scalar per key. The
+    bag has ended: nothing comes any more."""
     stamps = [array.header.stamp.sec + 1e-9 * array.header.stamp.nanosec for array in live.diagnostics]
     assert len(stamps) >= 2
     assert 0.5 < np.median(np.diff(stamps)) < 5.0  # a busy machine may be late, never early
@@ -232,15 +232,5 @@ def test_diagnostics(live: Live) -> None:
             if key not in ("merged", "not identifiable"):
                 float(value)
     assert live.stream["converged"] == "True"
-
-
-def test_silence_is_reported(live: Live) -> None:
-    """The bag has ended: nothing comes any more."""
     last = live.diagnostics[-1].status[0]
     assert (last.level, last.message) == (DiagnosticStatus.WARN, "no messages on /joint_states, /wrench")
-
-
-def test_the_end_keeps_what_was_saved(live: Live) -> None:
-    assert live.status == 0
-    assert "Dashboard" not in live.output, "without the parameter it has none"
-    assert live.saved_at_end["links"] == live.saved["links"]

@@ -60,8 +60,10 @@ def test_services_without_a_robot_say_what_is_missing(stage: Stage, tmp_path: Pa
     """Nor is anything saved in the end, with a robot of which nothing was heard either."""
     out = {"output_folder": str(tmp_path / "out")}
     node = stage.node(out)
-    silent = stage.node({**ARM3, **out}, "-r", "__ns:=/b", name="b/geomid")
-    for service in ("reset", "save"):
+    silent = stage.node({**ARM3, **out, "gap.memory": 0.0}, "-r", "__ns:=/b", name="b/geomid")
+    no_memory = (False, "no messages in memory: the parameter gap.memory is 0")
+    assert stage.observer.trigger("/b/geomid/find_gap") == no_memory
+    for service in ("reset", "save", "find_gap", "payload/empty"):
         assert stage.observer.trigger(f"/geomid/{service}") == (False, "no robot description yet")
     assert stage.observer.trigger("/geomid/stop")[0]
     assert stage.observer.trigger("/geomid/start")[0]
