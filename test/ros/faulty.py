@@ -71,9 +71,9 @@ class Watch:
 
 
 def compute(*_: Any, **__: Any) -> None:
-    """For ever, as far as the node can tell; without the fault it leaves the processor to others."""
+    """For ever, as far as the node can tell; it leaves the processor to others."""
     while fault():
-        sum(range(1000))
+        time.sleep(0.01)
     raise TimeoutError("planted")
 
 

@@ -24,37 +24,79 @@ def status(accounts: dict[str, Account] | None = None, **values: Any) -> Status:
     return Status(active=True, topics=TOPICS, accounts=heard | (accounts or {}), **values)
 
 
-def said(*statuses: Status) -> tuple[bytes, str]:
-    """Level and message of the last of several diagnostics."""
+def refused(accepted: int = 0, **rejected: int) -> Account:
+    return Account(accepted=accepted, rejected=Counter(rejected))
+
+
+BEFORE = status({"/wrench": Account(accepted=20, rejected=Counter({"late": 3}), noted=Counter({"odd": 1}), lost=4)})
+AFTER = status(
+    {
+        "joint_states": Account(accepted=30),
+        "/wrench": Account(accepted=30, rejected=Counter({"late": 5}), noted=Counter({"odd": 1}), lost=5),
+    }
+)
+SILENT = status({"/wrench": Account(accepted=21)})
+ODD = Account(accepted=5, rejected=Counter({"x dropped: y": 2}), dropped=Counter({"z": 1}))
+FAILED = status(failures=Counter({"a callback failed": 1}))
+LOCK = refused(1, **{"joint 'a' is missing: set locked_joints (--lock)": 2})
+BOTH = {"joint_states": refused(1, late=30), "/wrench": refused(late=30)}
+# Statuses of a node, one after the other, and what the last diagnostics say.
+SAID: dict[str, tuple[list[Status], bytes, str]] = {
+    "a robot that stands still, of which all is known, is well": (
+        [status(rows=9, rows_rejected=Counter({"not measured": 70}))],
+        OK,
+        "collecting rows",
+    ),
+    "a topic or a reason that reads like a key of something else changes nothing": (
+        [status({"/a lost": ODD})],
+        WARN,
+        "/a lost rejected: x dropped: y (2 messages); /a lost dropped: z (1 messages)",
+    ),
+    "all that is new": ([BEFORE], WARN, "/wrench rejected: late (3 messages); /wrench: odd; /wrench lost (4 messages)"),
+    "only what is new": ([BEFORE, AFTER], WARN, "/wrench rejected: late (2 messages); /wrench lost (1 messages)"),
+    "who is silent": ([status(), SILENT], WARN, "no messages on joint_states"),
+    "by the name that it has": (
+        [status(), replace(SILENT, names={"joint_states": "/left/arm/states"})],
+        WARN,
+        "no messages on /left/arm/states",
+    ),
+    "nine messages": ([status({"/wrench": refused(late=9)})], WARN, "/wrench rejected: late (9 messages)"),
+    "ten messages of which none is taken": (
+        [status({"/wrench": refused(late=10)})],
+        ERROR,
+        "/wrench rejected: late (10 messages)",
+    ),
+    "an error of one topic hides no warning of another": (
+        [status(BOTH)],
+        ERROR,
+        "/wrench rejected: late (30 messages); joint_states rejected: late (30 messages)",
+    ),
+    "no effort at all is one sentence": (
+        [status(joints=2, unmeasured=("a", "b"))],
+        ERROR,
+        "joint_states: no effort is measured at any joint, no joint equation is used: 'a', 'b'",
+    ),
+    "options of the command line are not named": (
+        [status({"/wrench": LOCK})],
+        WARN,
+        "/wrench rejected: joint 'a' is missing: set locked_joints (2 messages)",
+    ),
+    "an exception": ([FAILED], ERROR, "a callback failed"),
+    "is told once": ([FAILED, FAILED], WARN, "no messages on joint_states, /wrench"),
+    "a message that was accepted waited in vain": (
+        [status(), status({"/wrench": refused(19, **{"in vain": 1})})],
+        WARN,
+        "no messages on joint_states, /wrench; /wrench rejected: in vain (1 messages)",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SAID)
+def test_what_was_counted_since_the_last_diagnostics_is_said(case: str) -> None:
+    statuses, level, message = SAID[case]
     diagnostics = Diagnostics("geomid")
-    for each in statuses:
-        stream = diagnostics.array(each).status[0]
-    return stream.level, stream.message
-
-
-def test_rows_that_are_not_taken_are_no_refused_messages() -> None:
-    """A robot that stands still, of which all is known, is well."""
-    assert said(status(rows=9, rows_rejected=Counter({"not measured": 70})))[0] == OK
-
-
-def test_each_topic_has_its_own_reasons() -> None:
-    """A topic, or a reason, that reads like a key of something else changes nothing."""
-    odd = Account(accepted=5, rejected=Counter({"x dropped: y": 2}), dropped=Counter({"z": 1}))
-    level, message = said(status({"/a lost": odd}))
-    assert level == WARN
-    assert message == "/a lost rejected: x dropped: y (2 messages); /a lost dropped: z (1 messages)"
-
-
-def test_what_was_told_is_not_told_again() -> None:
-    before = status({"/wrench": Account(accepted=20, rejected=Counter({"late": 3}), noted=Counter({"odd": 1}), lost=4)})
-    after = status(
-        {
-            "joint_states": Account(accepted=30),
-            "/wrench": Account(accepted=30, rejected=Counter({"late": 5}), noted=Counter({"odd": 1}), lost=5),
-        }
-    )
-    assert said(before) == (WARN, "/wrench rejected: late (3 messages); /wrench: odd; /wrench lost (4 messages)")
-    assert said(before, after) == (WARN, "/wrench rejected: late (2 messages); /wrench lost (1 messages)")
+    *_, last = [diagnostics.array(each).status[0] for each in statuses]
+    assert (last.level, last.message) == (level, message)
 
 
 def test_all_counts_are_counted_from_an_earlier_status() -> None:
@@ -64,14 +106,6 @@ def test_all_counts_are_counted_from_an_earlier_status() -> None:
     assert (new.rows, new.rows_made, new.rows_rejected, new.failures) == (2, 5, {"a": 3}, {"f": 2})
 
 
-def test_who_is_silent_is_named() -> None:
-    before = status()
-    after = status({"/wrench": Account(accepted=21)})
-    assert said(before, after) == (WARN, "no messages on joint_states")
-    resolved = replace(after, names={"joint_states": "/left/arm/states"})
-    assert said(before, resolved) == (WARN, "no messages on /left/arm/states")
-
-
 @pytest.mark.parametrize("remark", [Reason("odd", "told"), driver_error("odd")])
 def test_a_remark_is_an_event(remark: str) -> None:
     """Of whatever level."""
@@ -79,43 +113,6 @@ def test_a_remark_is_an_event(remark: str) -> None:
     diagnostics.array(status({"joint_states": Account(accepted=20, noted=Counter({remark: 1}))}))
     assert diagnostics.remarks == [f"joint_states: {remark}"]
     assert {*diagnostics.remarks} <= {*diagnostics.errors, *diagnostics.warnings}
-
-
-@pytest.mark.parametrize(("received", "level"), [(9, WARN), (10, ERROR)])
-def test_many_messages_of_which_none_is_taken_are_an_error(received: int, level: bytes) -> None:
-    found = said(status({"/wrench": Account(rejected=Counter({"late": received}))}))
-    assert found == (level, f"/wrench rejected: late ({received} messages)")
-
-
-def test_an_error_of_one_topic_hides_no_warning_of_another() -> None:
-    """Of one nothing is taken, of the other only some."""
-    some = Account(accepted=1, rejected=Counter({"late": 30}))
-    level, message = said(status({"joint_states": some, "/wrench": Account(rejected=Counter({"late": 30}))}))
-    assert level == ERROR
-    assert message == "/wrench rejected: late (30 messages); joint_states rejected: late (30 messages)"
-
-
-def test_no_effort_at_all_is_one_sentence() -> None:
-    level, message = said(status(joints=2, unmeasured=("a", "b")))
-    assert level == ERROR
-    assert message.count("no effort") == 1
-
-
-def test_options_of_the_command_line_are_not_named() -> None:
-    lock = Account(accepted=1, rejected=Counter({"joint 'a' is missing: set locked_joints (--lock)": 2}))
-    assert said(status({"/wrench": lock}))[1].endswith("set locked_joints (2 messages)")
-
-
-def test_an_exception_is_told_once() -> None:
-    before = status(failures=Counter({"a callback failed": 1}))
-    assert said(before) == (ERROR, "a callback failed")
-    assert "failed" not in said(before, before)[1]
-
-
-def test_a_rejected_message_may_have_been_accepted_before() -> None:
-    """It waited in vain: one is accepted less, one rejected more."""
-    after = status({"/wrench": Account(accepted=19, rejected=Counter({"in vain": 1}))})
-    assert "/wrench rejected: in vain (1 messages)" in said(status(), after)[1]
 
 
 def test_a_sentence_with_advice_can_be_counted_and_copied() -> None:

@@ -46,30 +46,21 @@ def test_the_last_messages_of_a_node_that_ends_are_received(stage: Stage) -> Non
     stage.observer.wait_for(lambda: len(heard) == 20, "all messages", patience=20.0)
 
 
-def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> None:
-    """In the middle of everything, and however often they are told."""
+def test_a_busy_node_saves_its_last_estimate(stage: Stage, tmp_path: Path) -> None:
+    """In the middle of everything, and however often it is told."""
     parameters = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.1}
-    nodes, inertias = {}, {}
-    for number in (signal.SIGINT, signal.SIGTERM):
-        name = number.name.lower()
-        arguments = ("-r", f"__ns:=/{name}", "-r", "joint_states:=/joint_states")
-        own, fresh = {"output_folder": str(tmp_path / name)}, number == signal.SIGINT
-        nodes[number] = stage.node({**parameters, **own}, *arguments, ready=False, fresh=fresh)
-    for number, node in nodes.items():
-        stage.serving(node, f"{number.name.lower()}/geomid")
-        topic = f"/{number.name.lower()}/geomid/inertias"
-        inertias[number] = stage.observer.collect(InertiaStamped, topic, latched())
+    out = tmp_path / "out"
+    node = stage.node({**parameters, "output_folder": str(out)}, fresh=True)
+    inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
     stage.play(BAGS / "arm3", 2.0, "--topic", "/wrench")
-    for number, node in nodes.items():
-        stage.observer.wait_for(lambda heard=inertias[number]: len(heard) > 2, "estimates")
-        node.send(number)
-        node.send(number)
-        assert node.seconds_to_end(number) <= SOON, node.output
-        assert node.status() == 0, node.output
-        out = tmp_path / number.name.lower()
-        assert json.loads((out / "estimate.json").read_text())["rows"]["accepted"] > 0
-        assert (out / "identified.urdf").read_text().startswith("<?xml")
-        assert {path.name for path in out.iterdir()} == {"estimate.json", "identified.urdf", "posterior.npz"}
+    stage.observer.wait_for(lambda: len(inertias) > 2, "estimates")
+    node.send(signal.SIGINT)
+    node.send(signal.SIGTERM)
+    assert node.seconds_to_end(signal.SIGINT) <= SOON, node.output
+    assert node.status() == 0, node.output
+    assert json.loads((out / "estimate.json").read_text())["rows"]["accepted"] > 0
+    assert (out / "identified.urdf").read_text().startswith("<?xml")
+    assert {path.name for path in out.iterdir()} == {"estimate.json", "identified.urdf", "posterior.npz"}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
@@ -99,6 +90,7 @@ def test_a_node_told_to_end_while_it_starts(stage: Stage) -> None:
     assert node.status() in (0, -signal.SIGTERM)
 
 
+@pytest.mark.usefixtures("found_only")
 def test_the_demonstration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the small arm, whose recording is shorter; node and player are processes of their own."""
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")  # it chooses another one for its processes

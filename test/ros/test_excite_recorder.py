@@ -22,24 +22,14 @@ def said(text: str) -> bytes:
     return bytes(TYPES.serialize_cdr(TYPES.types[TEXT](data=text), TEXT))
 
 
-def test_everything_is_recorded_in_its_order(tmp_path: Path) -> None:
+def test_everything_is_recorded_in_its_order_and_the_bag_is_whole_after_an_error(tmp_path: Path) -> None:
     texts = [f"{number} " * 200 for number in range(2000)]  # several chunks
-    with Recorder(tmp_path / "bag", TOPICS) as recorder:
-        for text in texts:
-            recorder.write("/said", said(text))
-    assert recorder.problem == ""
-    with Bag(tmp_path / "bag") as bag:
-        assert bag.warnings == ()
-        assert bag.has_checksums
-    items = recorded(tmp_path / "bag")
-    assert [item.message.data for item in items] == texts
-    assert [item.time for item in items] == sorted(item.time for item in items)
 
-
-def test_the_bag_is_whole_after_an_error(tmp_path: Path) -> None:
     def interrupted() -> None:
         with Recorder(tmp_path / "bag", TOPICS) as recorder:
-            recorder.write("/said", said("one"))
+            for text in texts:
+                recorder.write("/said", said(text))
+            assert recorder.problem == ""
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -47,7 +37,9 @@ def test_the_bag_is_whole_after_an_error(tmp_path: Path) -> None:
     with Bag(tmp_path / "bag") as bag:
         assert bag.warnings == ()
         assert bag.has_checksums
-        assert bag.count(["/said"]) == 1
+    items = recorded(tmp_path / "bag")
+    assert [item.message.data for item in items] == texts
+    assert [item.time for item in items] == sorted(item.time for item in items)
 
 
 def test_a_full_disk_is_told_and_does_not_hang(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from excitation.motions import lively
 from files.recordings import BAGS
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.publisher import Publisher
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
@@ -19,6 +21,7 @@ from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.ros.controller import message_of
 
 from .observer import MATCHING, latched
+from .processes import Process
 from .stage import Stage
 
 JOINTS = ("joint1", "joint2", "joint3")
@@ -81,58 +84,17 @@ def test_trajectories_go_on_with_efforts_or_not_at_all(stage: Stage, model: Path
     observer.wait_for(lambda: len(heard) == 3, "an order to stop")
 
 
-def test_the_last_usable_estimate_of_the_node_gives_the_efforts(stage: Stage, model: Path) -> None:
-    """Before the first one nothing goes on; a doubtful one, and what is no estimate, leave the one before."""
-    observer, saved = stage.observer, json.loads(model.read_text())
-    saved["robot_description"] = model.with_name("identified.urdf").read_text()
-    doubtful = saved | {"verdict": {"result": "doubtful", "reasons": ["something is wrong"]}}
-    relay = stage.node({"heaviest_payload": 2.0}, module="geomid_ros.ros.feedforward", ready=False)
+def published(model: Path) -> dict[str, Any]:
+    """A saved model as the node publishes it."""
+    return {**json.loads(model.read_text()), "robot_description": model.with_name("identified.urdf").read_text()}
+
+
+def relaying(stage: Stage, **parameters: Any) -> tuple[Process, Publisher, Publisher, list[Any]]:
+    """A relay that waits for estimates; who publishes trajectories and estimates; what the controller hears."""
+    relay, observer = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False), stage.observer
     sent = observer.node.create_publisher(JointTrajectory, "/geomid_feedforward/joint_trajectory", 10)
     estimates = observer.node.create_publisher(String, "/geomid/estimate", latched(1))
     heard = observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
     observer.wait_for(lambda: sent.get_subscription_count() and estimates.get_subscription_count(), "the relay")
     observer.spin(MATCHING)
-
-    def answered(text: str) -> bool:
-        """Whether the relay says so of an estimate, or of a trajectory that is sent until it does."""
-        sent.publish(message_of(motion()))
-        observer.spin(0.2)
-        return text in relay.output
-
-    observer.wait_for(lambda: answered("not sent on: no estimate on /geomid/estimate yet"), "a refusal")
-    estimates.publish(String(data=json.dumps(doubtful)))
-    observer.wait_for(lambda: answered("/geomid/estimate: this model's verdict is 'doubtful'"), "another refusal")
-    assert not heard
-    assert "adapts to a payload" not in relay.output
-    estimates.publish(String(data=json.dumps(saved)))
-    observer.wait_for(lambda: "adapts to a payload" in relay.output, "the adaptation, before any trajectory")
-    observer.wait_for(lambda: answered("efforts are those of /geomid/estimate") and heard, "a trajectory with efforts")
-    expected = geomid_ros.feedforward(motion(), model).trajectory
-    np.testing.assert_allclose([point.effort for point in heard[-1].points], expected.efforts, atol=1e-6)
-    for text in (json.dumps(doubtful), "[]"):
-        estimates.publish(String(data=text))
-    observer.wait_for(
-        lambda: answered("something is wrong; to move") and "last usable estimate stays" in relay.output, "it"
-    )
-    count = len(heard)
-    observer.wait_for(lambda: answered("") and len(heard) > count + 1, "trajectories as before")
-    np.testing.assert_allclose([point.effort for point in heard[-1].points], expected.efforts, atol=1e-6)
-    assert relay.output.count("last usable estimate stays") == 1
-
-
-def test_a_robot_that_cannot_adapt_has_its_trajectories_filled(stage: Stage, model: Path) -> None:
-    """The estimate that comes has no such link: the relay says so, and lives on."""
-    observer, saved = stage.observer, json.loads(model.read_text())
-    saved["robot_description"] = model.with_name("identified.urdf").read_text()
-    parameters = {"heaviest_payload": 2.0, "link": "elsewhere"}
-    relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
-    sent = observer.node.create_publisher(JointTrajectory, "/geomid_feedforward/joint_trajectory", 10)
-    estimates = observer.node.create_publisher(String, "/geomid/estimate", latched(1))
-    heard = observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
-    observer.wait_for(lambda: sent.get_subscription_count() and estimates.get_subscription_count(), "the relay")
-    observer.spin(MATCHING)
-    estimates.publish(String(data=json.dumps(saved)))
-    observer.wait_for(lambda: "the adaptation cannot use the last estimate" in relay.output, "what is wrong")
-    assert "'elsewhere'" in relay.output
-    sent.publish(message_of(motion()))
-    observer.wait_for(lambda: heard, "a trajectory with efforts")
+    return relay, sent, estimates, heard

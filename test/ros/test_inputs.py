@@ -122,13 +122,16 @@ def test_every_message_is_taken_lost_or_dropped(hearing: Hearing) -> None:
     assert len(hearing.taken) == before
 
 
-def test_only_a_topic_that_is_merged_may_have_several_publishers(hearing: Hearing) -> None:
-    merging, taken = Inputs(hearing.observer.node, Ledger()), list[Received]()
-    merging.listen_as(Configuration({"merge_joint_states": True}))
-    for _ in range(2):
-        hearing.publisher(JointState, TOPIC, 2).publish(JointState())
-    hearing.observer.wait_for(lambda: taken.extend(merging.poll()) or len(taken) == 2, "both messages")
-    assert merging.problems == ()
+def test_what_the_configuration_asks_for_is_taken(hearing: Hearing) -> None:
+    """Commands; joint states of several publishers if they are merged, and only then."""
+    asking, taken = Inputs(hearing.observer.node, Ledger()), list[Received]()
+    asking.listen_as(Configuration({"merge_joint_states": True, "command.gains": ["20:1"]}))
+    publishers = [hearing.publisher(JointState, topic, 2) for topic in (TOPIC, TOPIC)]
+    for publisher in (*publishers, hearing.publisher(JointState, "joint_commands")):
+        publisher.publish(JointState())
+    hearing.observer.wait_for(lambda: taken.extend(asking.poll()) or len(taken) == 3, "all messages")
+    assert sorted(message.topic for message in taken) == ["joint_commands", TOPIC, TOPIC]
+    assert asking.problems == ()
     (problem,) = hearing.inputs.problems
     assert problem.startswith("/joint_states has 2 publishers; all its messages are dropped until one is left")
 

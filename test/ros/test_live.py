@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands.running import WRIST, done, identify
+from commands.running import WRIST, done, found_only, identify
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from files.recordings import BAGS
 from geometry_msgs.msg import InertiaStamped
@@ -61,7 +61,9 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
     folder = tmp_path_factory.mktemp("live")
     out = folder / "out"
     command = identify(ROBOT, *WRIST, "--hold-out", "0", "--json", "--out", folder / "offline")
-    run = Live(offline=json.loads(done(*command)))
+    with pytest.MonkeyPatch.context() as patch:
+        found_only(patch)
+        run = Live(offline=json.loads(done(*command)))
     with staged(folder) as stage:
         parameters = {"robot_description": description(ROBOT), "output_folder": str(out), "solve_period": 2.0}
         node, observer = stage.node({**parameters, **WRIST_PARAMETERS}), stage.observer

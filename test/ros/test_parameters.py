@@ -106,7 +106,7 @@ def test_a_program_that_is_refused_says_so_once(stage: Stage, monkeypatch: pytes
     """With status 2, and no traceback."""
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
-    player = stage.play(BAGS / "arm3", fresh=True)
+    player = stage.play(BAGS / "arm3")
     monkeypatch.delenv("ROS_SECURITY_ENABLE")
     said = {
         r"Error: ROS cannot start .*ROS_SECURITY_KEYSTORE is not set": player,

@@ -78,12 +78,14 @@ def solving() -> Iterator[SolvingProcess]:
 
 
 def test_the_estimates_are_those_of_one_process(solving: SolvingProcess) -> None:
-    """Of one session and of another one, cold and warm."""
+    """Of one session and of another one; after its end it is solved here."""
     for effects in (["viscous_friction"], [""]):
         ours, theirs = session(effects=effects), session(effects=effects)
         ours.identifier.solve_with(solving.remote(EstimationTask.solve))
         assert_same(ours.identifier.solve(), theirs.identifier.solve())
     assert solving.warning == ""
+    solving.close()
+    assert_same(ours.identifier.solve(), theirs.identifier.solve())
 
 
 def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,14 +110,6 @@ def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypa
             worker.session.review.check.add(joints)
         worker.session.review.judge()
         assert worker.session.review.findings == (expected,)
-
-
-def test_after_its_end_it_is_solved_here(solving: SolvingProcess) -> None:
-    ours, theirs = session(), session()
-    ours.identifier.solve_with(solving.remote(EstimationTask.solve))
-    ours.identifier.solve()
-    solving.close()
-    assert_same(ours.identifier.solve(), theirs.identifier.solve())
 
 
 def pid(solving: SolvingProcess) -> int:

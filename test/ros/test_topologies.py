@@ -1,4 +1,4 @@
-"""Real set-ups: the ready configurations with the messages of robots whose bodies are known, over DDS.
+"""Real set-ups: the ready configurations with the messages of robots whose bodies are known; two over DDS.
 
 Elsewhere: descriptions that are late, changed or latched (test_description), stamps that jump (test_catalogue_streams).
 """
@@ -8,26 +8,28 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from files.recordings import TYPES, Recorded
-from geometry_msgs.msg import InertiaStamped, WrenchStamped
+from files.recordings import Recorded
+from geometry_msgs.msg import WrenchStamped
 from model.robots import urdf
 from nav_msgs.msg import Odometry
-from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import Imu, JointState
+from sensor_msgs.msg import JointState
+from signals.feeding import completed
 from std_msgs.msg import String
 from test_configs import in_force
 
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session, document
 from geomid_ros.types import FloatArray
 
 from .in_motion import COULOMB, InMotion, in_time, noisy
-from .observer import MATCHING, latched, plenty
+from .observer import latched
 from .processes import Process
 from .stage import Stage, description
 
@@ -36,7 +38,6 @@ KINDS = {
     "sensor_msgs/msg/JointState": JointState,
     "geometry_msgs/msg/WrenchStamped": WrenchStamped,
     "nav_msgs/msg/Odometry": Odometry,
-    "sensor_msgs/msg/Imu": Imu,
 }
 FAR = 6.0  # standard deviations; links have ten quantities each, and friction is not the only thing that is simplified
 
@@ -57,39 +58,19 @@ class Setup:
         given = ("-p", f"output_folder:={self._out}", *chosen, *namespaced, *arguments)
         self.node: Process = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", config, *map(str, given))
         stage.serving(self.node, self.name)
-        self.inertias = stage.observer.collect(InertiaStamped, f"/{self.name}/inertias", latched())
         self.arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
         stage.observer.diagnostics(lambda _, status: "no messages on" in status.message, "a robot", self.name)
         self.sent: Counter[str] = Counter()
-        self._publishers: dict[tuple[int, str], Publisher] = {}
 
-    def publish(self, *drivers: Sequence[Recorded], qos: QoSProfile | None = None) -> None:
-        """Publish what each driver says, each with publishers of its own, all in the order of their time."""
-        for number, items in enumerate(drivers):
-            for topic, kind in {item.topic: item.kind for item in items}.items():
-                if (number, topic) not in self._publishers:
-                    self._publishers[number, topic] = self.stage.observer.node.create_publisher(
-                        KINDS[kind], self._namespace + topic, qos or plenty()
-                    )
-        found = self._publishers.values()
-        self.stage.observer.wait_for(lambda: all(publisher.get_subscription_count() for publisher in found), "the node")
-        self.stage.observer.spin(MATCHING)
-        said = sorted(
-            ((item.time, number, item) for number, items in enumerate(drivers) for item in items),
-            key=lambda entry: entry[:2],
-        )
-        pace = self.stage.observer.pace()
-        for _, number, item in said:
-            self._publishers[number, item.topic].publish(bytes(TYPES.serialize_cdr(item.message, item.kind)))
-            self.sent[item.topic] += 1
-            pace.pause()
+    def publish(self, items: Sequence[Recorded]) -> None:
+        """Publish messages in quick succession."""
+        kinds = {item.topic: KINDS[item.kind] for item in items}
+        self.stage.observer.publish(items, kinds, self._namespace)
+        self.sent.update(item.topic for item in items)
 
-    def told(self, **names: str) -> dict[str, str]:
-        """The stream's values when all messages are in the ledger: accepted, all of them, and nothing was wrong.
-
-        ``names``: what topics are remapped to, by the names that the ledger has for them."""
-        known = {topic: name for name, topic in names.items()}
-        wanted = {f"{known.get(topic, topic[1:])} accepted": str(count) for topic, count in self.sent.items()}
+    def told(self) -> dict[str, str]:
+        """The stream's values when all messages are in the ledger: accepted, all of them, and nothing was wrong."""
+        wanted = {f"{topic[1:]} accepted": str(count) for topic, count in self.sent.items()}
         array = self.stage.observer.diagnostics(
             lambda values, _: wanted.items() <= values.items() and values["queue"] == "0", str(wanted), self.name
         )
@@ -105,19 +86,9 @@ class Setup:
         """The links of the estimate for all messages so far."""
         success, answer = self.stage.observer.trigger(f"/{self.name}/save")
         assert success, answer
-        document = self._document
+        document = json.loads((self._out / "estimate.json").read_text())
         assert document["converged"], document["reason"]
         return {link["name"]: link for link in document["links"]}
-
-    @property
-    def friction(self) -> list[float]:
-        """What was saved of the joints' Coulomb friction [N m]."""
-        return [effect["value"] for effect in self._document["effects"] if effect["name"] == "coulomb_friction"]
-
-    @property
-    def _document(self) -> dict[str, Any]:
-        document: dict[str, Any] = json.loads((self._out / "estimate.json").read_text())
-        return document
 
 
 def assert_masses_are_true(links: dict[str, dict[str, Any]], truth: dict[str, FloatArray]) -> None:
@@ -139,23 +110,32 @@ def with_tool(text: str, parent: str, name: str = "tool", mass: float = 1.2) -> 
     )
 
 
-def test_a_universal_robot(stage: Stage, tmp_path: Path) -> None:
+def identified(text: str, config: Path, items: Sequence[Recorded], **values: Any) -> dict[str, Any]:
+    """The estimate from messages, all of which are taken, without ROS."""
+    session = Session(text, Configuration.read(config).with_values({"candidates": [], **values}), config.name)
+    for samples in completed(session.pipeline, (replace(item, topic=item.topic[1:]).parsed for item in items)):
+        session.identifier.add(samples)
+    assert not any(account.rejected or account.dropped for account in session.pipeline.ledger.topics.values())
+    found = document(session, session.identifier.solve())
+    assert found["converged"], found["reason"]
+    return found
+
+
+def test_a_universal_robot(tmp_path: Path) -> None:
     """Currents, in its driver's order of joints, and the wrench in a frame that no URDF has."""
     text = with_tool(urdf("ur10_robot.urdf"), "tool0")
     robot = InMotion(text, duration=7.0, rate=125.0, seed=1, cuts=["tool0"], swing=0.8)
     gains = np.array([13.58, 14.30, 11.37, 11.24, 11.77, 11.77])
     currents = noisy(robot.efforts(), 0.3, seed=2) / gains
     wrench = noisy(-robot.carried("tool0"), 0.1, seed=3)
-    setup = Setup(stage, in_force(CONFIG / "ur.yaml", tmp_path), text)
-    topic = "/force_torque_sensor_broadcaster/wrench"
-    setup.publish(
-        in_time(robot.joint_states(currents, sorted(robot.joints)), robot.wrenches(topic, "tool0_controller", wrench))
-    )
-    setup.told()
-    links = setup.saved()
+    topic, states = "/force_torque_sensor_broadcaster/wrench", robot.joint_states(currents, sorted(robot.joints))
+    items = in_time(states, robot.wrenches(topic, "tool0_controller", wrench))
+    found = identified(text, in_force(CONFIG / "ur.yaml", tmp_path), items)
+    links = {link["name"]: link for link in found["links"]}
     assert_masses_are_true(links, robot.truth)
     assert links["tool0"]["mass"] == pytest.approx(robot.truth["tool0"][0], rel=0.01)
-    assert setup.friction == pytest.approx(6 * [COULOMB], rel=0.2), "in N m, with the right gains"
+    friction = [effect["value"] for effect in found["effects"] if effect["name"] == "coulomb_friction"]
+    assert friction == pytest.approx(6 * [COULOMB], rel=0.2), "in N m, with the right gains"
 
 
 def with_finger(text: str) -> str:
@@ -213,16 +193,14 @@ def test_a_quadruped(stage: Stage) -> None:
     assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=0.01)
 
 
-def test_a_quadruped_without_force_sensors(stage: Stage) -> None:
+def test_a_quadruped_without_force_sensors() -> None:
     """An IMU in place of the odometry, and the efforts of the legs in place of sensors under the feet."""
     text = urdf("go2.urdf")
     robot = InMotion(text, duration=8.0, rate=50.0, seed=1, floating_base=True)
     feet = ["FL_foot", "FR_foot", "RL_foot", "RR_foot"]
     states = robot.joint_states(noisy(robot.efforts(robot.on_feet(feet)), 0.1, seed=9))
-    setup = Setup(stage, CONFIG / "quadruped.yaml", text, "-p", f"contacts:={json.dumps(feet)}")
-    setup.publish(in_time(states, robot.imu("/imu", "imu")))
-    setup.told()
-    links = setup.saved()
+    found = identified(text, CONFIG / "quadruped.yaml", in_time(states, robot.imu("/imu", "imu")), contacts=feet)
+    links = {link["name"]: link for link in found["links"]}
     assert_masses_are_true(links, robot.truth)
     assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=0.01)
 

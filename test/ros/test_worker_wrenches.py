@@ -218,12 +218,22 @@ def test_what_was_solved_for_from_bad_rows_is_forgotten(busy: Working, monkeypat
 
 
 def test_only_the_sensor_that_changed_loses_its_rows_and_only_until_it_is_as_before(working: Working) -> None:
-    """Equal to a run in which it said nothing from before it was tared until the gap had closed."""
+    """Equal to a run in which it said nothing from before it was tared until the gap had closed. What was solved for
+    before that was noticed chooses neither where the next solve begins nor the prior's weight."""
     items = messages(wrist=biased([0.0, 0.0, 2.0, 0.0, 0.0, 0.0], TARED, BACK))
     of, spared = samples(items), samples(messages())
     touched = np.flatnonzero(np.any(np.abs(of.wrenches - spared.wrenches) > 1e-9, axis=(1, 2)))
     before, after = split(items, BACK)
-    status = working.feed(before)
+    sound, bad = split(before, TARED)
+    working.feed(sound)
+    assert working.session.warm_start is not None
+    noticed, bad = split(bad, TARED + 6.0)
+    working.take(noticed)
+    working.judge()
+    assert working.worker.solver.changed_sensors == ("/wrist",)
+    assert working.worker.solver._warm_start() is None
+    assert working.worker.estimate is not None, "there is none better yet"
+    status = working.feed(bad)
     begin = first_suspect(status, "wrist/fz") - LATE
     assert begin <= touched[0], "all that is bad is left out"
     assert status.rows_rejected["wrench changed: /wrist"] == AXES * (status.rows_made // CHANNELS - begin)
@@ -267,15 +277,3 @@ def test_who_forgets_in_time_takes_what_has_changed() -> None:
     with closing(Working(forgetting_time=20.0)) as working:
         working.feed(wrong)
         assert_same(working.final(), silent(samples(wrong), "/wrist"), forgetting_time=20.0)
-
-
-def test_what_was_solved_for_before_a_change_was_noticed_chooses_nothing(working: Working) -> None:
-    """Neither where the next solve begins nor the prior's weight."""
-    before, after = split(messages(TARED + 6.0, wrist=biased([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])), TARED)
-    working.feed(before)
-    assert working.session.warm_start is not None
-    working.take(after)
-    working.judge()
-    assert working.worker.solver.changed_sensors == ("/wrist",)
-    assert working.worker.solver._warm_start() is None
-    assert working.worker.estimate is not None, "there is none better yet"
