@@ -60,24 +60,20 @@ class Twin:
 class Rig:
     """A node with its twin: what is published, counted and said."""
 
-    def __init__(self, stage: Stage, out: Path, node: Process, namespace: str = "") -> None:
+    def __init__(self, stage: Stage, out: Path, node: Process) -> None:
         self.stage = stage
         self.node = node
         self.out = out
-        self.name = f"{namespace}/geomid".lstrip("/")
+        self.name = "geomid"
         self.twin = Twin()
         self.sent: Counter[str] = Counter()  # messages by topic since the node began
         self.arrays: list[DiagnosticArray] = stage.observer.collect(DiagnosticArray, "/diagnostics")
-        self.inertias: list[InertiaStamped] = stage.observer.collect(
-            InertiaStamped, f"/{self.name}/inertias", latched()
-        )
+        self.inertias: list[InertiaStamped] = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
         self._cases = 0
         self.told_at = 0  # the place, among the arrays, of what was told last
         self._clients: dict[str, Any] = {}
         create = stage.observer.node.create_publisher
-        self.publishers: dict[str, Publisher] = {
-            topic: create(kind, namespace + topic, plenty()) for topic, kind in KINDS.items()
-        }
+        self.publishers: dict[str, Publisher] = {topic: create(kind, topic, plenty()) for topic, kind in KINDS.items()}
         stage.observer.wait_for(
             lambda: all(publisher.get_subscription_count() for publisher in self.publishers.values()), "the node"
         )

@@ -68,7 +68,7 @@ def test_the_page_is_told_what_the_node_says_and_ends_with_it(stage: Stage) -> N
     """So does the process that solves."""
     arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
     arguments = ("-r", "__ns:=/left", "-r", "joint_states:=/joint_states")
-    node = stage.node({**URDF, "dashboard": True, "solve_period": 0.2}, *arguments, name="left/geomid", fresh=True)
+    node = stage.node({**URDF, "dashboard": True, "solve_period": 0.2}, *arguments, name="left/geomid")
     reader = Reader(address(stage, node, "left/geomid"))
     stage.spin_while(stage.play(BAGS / "arm3", 4.0, "--topic", "/wrench"))
 

@@ -50,7 +50,7 @@ def test_a_busy_node_saves_its_last_estimate(stage: Stage, tmp_path: Path) -> No
     """In the middle of everything, and however often it is told."""
     parameters = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.1}
     out = tmp_path / "out"
-    node = stage.node({**parameters, "output_folder": str(out)}, fresh=True)
+    node = stage.node({**parameters, "output_folder": str(out)})
     inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
     stage.play(BAGS / "arm3", 2.0, "--topic", "/wrench")
     stage.observer.wait_for(lambda: len(inertias) > 2, "estimates")
@@ -97,7 +97,7 @@ def test_the_demonstration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setenv("PYTHONPATH", str(BAGS.parent))
     monkeypatch.setattr(live, "shared_file", lambda name: BAGS.parent / name.replace("arm7", "arm3"))
     out = tmp_path / "out"
-    printed = done("demo", "--rate", "2", "--out", out)
+    printed = done("demo", "--rate", "4", "--out", out)
     written = {"estimate.json", "identified.urdf", "posterior.npz", "identification.png"}
     assert {path.name for path in out.iterdir()} == written
     assert all(str(out / name) in printed for name in written)

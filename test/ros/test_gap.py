@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from commands.running import done, found_only
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from files.recordings import BAGS, QUICK, Recorded, recorded, write_bag
+from files.recordings import BAGS, Recorded, write_bag
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from geomid_ros.simulation.options import Hidden, SimulationOptions
-from geomid_ros.simulation.recording import simulate
-
+from .in_motion import InMotion, noisy
 from .observer import latched
 from .stage import Stage, description, staged
 
@@ -24,21 +22,17 @@ URDF = BAGS / "arm3.urdf"
 ARM3 = {"robot_description": description("arm3")}
 SECONDS = 32.0
 CHANGE = 22.0  # [s] when the friction grows
-LEVEL = 1.0  # [N m] of the friction at joint2
+LEVEL, NOISE = 1.0, 0.05  # [N m] of the friction at joint2; of all efforts
 LOOKING = (True, "search started; the result is published on ~/gap")
 
 
 @pytest.fixture(scope="module")
-def rubbing(tmp_path_factory: pytest.TempPathFactory) -> list[Recorded]:
+def rubbing() -> list[Recorded]:
     """Joint messages of a small arm with friction that its description lacks."""
-    pytest.importorskip("mujoco")
-    bag = tmp_path_factory.mktemp("rubbing") / "bag"
-    hide = (Hidden("coulomb_friction", "joint2", LEVEL),)
-    simulate(
-        bag,
-        SimulationOptions(robot="arm3", seed=5, duration=SECONDS, longest_step=QUICK, hide=hide, motion="aperiodic"),
-    )
-    return [item for item in recorded(bag) if item.topic == "/joint_states"]
+    arm = InMotion(description("arm3"), duration=SECONDS, rate=100.0, seed=5, swing=0.8, error=0.0)
+    efforts, rubs = noisy(arm.efforts(friction=False), NOISE, seed=1), arm.joints.index("joint2")
+    efforts[:, rubs] += LEVEL * np.sign(arm.samples.velocity[:, rubs])
+    return arm.joint_states(efforts)
 
 
 def seconds(items: list[Recorded], begin: float, end: float) -> list[Recorded]:
