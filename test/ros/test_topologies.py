@@ -1,4 +1,4 @@
-"""Real set-ups: the ready configurations with the messages of robots whose bodies are known; two over DDS.
+"""Real set-ups: the ready configurations with the messages of robots whose bodies are known; one over DDS.
 
 Elsewhere: descriptions that are late, changed or latched (test_description), stamps that jump (test_catalogue_streams).
 """
@@ -6,7 +6,6 @@ Elsewhere: descriptions that are late, changed or latched (test_description), st
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from files.recordings import Recorded
 from geometry_msgs.msg import WrenchStamped
 from model.robots import urdf
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from signals.feeding import completed
 from std_msgs.msg import String
@@ -30,65 +28,16 @@ from geomid_ros.types import FloatArray
 
 from .in_motion import COULOMB, InMotion, in_time, noisy
 from .observer import latched
-from .processes import Process
 from .stage import Stage, description
 
 CONFIG = Path(__file__).parents[2] / "config"
-KINDS = {
-    "sensor_msgs/msg/JointState": JointState,
-    "geometry_msgs/msg/WrenchStamped": WrenchStamped,
-    "nav_msgs/msg/Odometry": Odometry,
-}
 FAR = 6.0  # standard deviations; links have ten quantities each, and friction is not the only thing that is simplified
 
 
-class Setup:
-    """A node with a ready configuration, and what its robot publishes."""
-
-    def __init__(self, stage: Stage, config: Path, urdf: str, *arguments: str, namespace: str = "") -> None:
-        """``arguments`` of ROS; ``namespace`` like ``/cell``."""
-        description = String(data=urdf)  # is there before the node, as a robot_state_publisher keeps it
-        stage.observer.node.create_publisher(String, f"{namespace}/robot_description", latched(1)).publish(description)
-        self.stage = stage
-        self.name = f"{namespace}/geomid".lstrip("/")
-        self._namespace = namespace
-        self._out = stage.folder / "out"
-        namespaced = ("-r", f"__ns:={namespace}") if namespace else ()
-        chosen = ("-p", 'candidates:=[""]', "-p", "solve_period:=3600.0")  # as NO_CHOICE, and once, when it is saved
-        given = ("-p", f"output_folder:={self._out}", *chosen, *namespaced, *arguments)
-        self.node: Process = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", config, *map(str, given))
-        stage.serving(self.node, self.name)
-        self.arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
-        stage.observer.diagnostics(lambda _, status: "no messages on" in status.message, "a robot", self.name)
-        self.sent: Counter[str] = Counter()
-
-    def publish(self, items: Sequence[Recorded]) -> None:
-        """Publish messages in quick succession."""
-        kinds = {item.topic: KINDS[item.kind] for item in items}
-        self.stage.observer.publish(items, kinds, self._namespace)
-        self.sent.update(item.topic for item in items)
-
-    def told(self) -> dict[str, str]:
-        """The stream's values when all messages are in the ledger: accepted, all of them, and nothing was wrong."""
-        wanted = {f"{topic[1:]} accepted": str(count) for topic, count in self.sent.items()}
-        array = self.stage.observer.diagnostics(
-            lambda values, _: wanted.items() <= values.items() and values["queue"] == "0", str(wanted), self.name
-        )
-        values = {pair.key: pair.value for pair in array.status[0].values}
-        refused = (key for key in values if " rejected: " in key or " dropped: " in key or key.endswith(" lost"))
-        assert set(refused) <= {"rows rejected: standing still", "rows rejected: not measured"}
-        for other in self.arrays:
-            for status in other.status:
-                assert status.level != DiagnosticStatus.ERROR, status.message
-        return values
-
-    def saved(self) -> dict[str, dict[str, Any]]:
-        """The links of the estimate for all messages so far."""
-        success, answer = self.stage.observer.trigger(f"/{self.name}/save")
-        assert success, answer
-        document = json.loads((self._out / "estimate.json").read_text())
-        assert document["converged"], document["reason"]
-        return {link["name"]: link for link in document["links"]}
+def links_of(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The links of an estimate, which has converged."""
+    assert document["converged"], document["reason"]
+    return {link["name"]: link for link in document["links"]}
 
 
 def assert_masses_are_true(links: dict[str, dict[str, Any]], truth: dict[str, FloatArray]) -> None:
@@ -116,9 +65,7 @@ def identified(text: str, config: Path, items: Sequence[Recorded], **values: Any
     for samples in completed(session.pipeline, (replace(item, topic=item.topic[1:]).parsed for item in items)):
         session.identifier.add(samples)
     assert not any(account.rejected or account.dropped for account in session.pipeline.ledger.topics.values())
-    found = document(session, session.identifier.solve())
-    assert found["converged"], found["reason"]
-    return found
+    return document(session, session.identifier.solve())
 
 
 def test_a_universal_robot(tmp_path: Path) -> None:
@@ -131,7 +78,7 @@ def test_a_universal_robot(tmp_path: Path) -> None:
     topic, states = "/force_torque_sensor_broadcaster/wrench", robot.joint_states(currents, sorted(robot.joints))
     items = in_time(states, robot.wrenches(topic, "tool0_controller", wrench))
     found = identified(text, in_force(CONFIG / "ur.yaml", tmp_path), items)
-    links = {link["name"]: link for link in found["links"]}
+    links = links_of(found)
     assert_masses_are_true(links, robot.truth)
     assert links["tool0"]["mass"] == pytest.approx(robot.truth["tool0"][0], rel=0.01)
     friction = [effect["value"] for effect in found["effects"] if effect["name"] == "coulomb_friction"]
@@ -150,10 +97,9 @@ def with_finger(text: str) -> str:
 
 
 def test_an_arm_under_ros2_control(stage: Stage) -> None:
-    """In a namespace; NaN where a joint has no effort; wheels that the description does not have."""
-    text = with_finger(description("arm3"))
+    """In a namespace, over DDS; NaN where a joint has no effort; wheels that the description does not have."""
+    text, observer, out = with_finger(description("arm3")), stage.observer, stage.folder / "out"
     robot = InMotion(text, duration=7.0, rate=100.0, seed=4, cuts=["ft_frame"])
-    setup = Setup(stage, CONFIG / "ros2_control.yaml", text, namespace="/cell")
     efforts = noisy(robot.efforts(), 0.05, seed=2)
     efforts[:, robot.joints.index("finger_joint")] = np.nan
     states = [
@@ -163,18 +109,34 @@ def test_an_arm_under_ros2_control(stage: Stage) -> None:
         )
         for item in robot.joint_states(efforts, sorted(robot.joints))
     ]
-    wrench = noisy(-robot.carried("ft_frame"), 0.05, seed=3)
-    setup.publish(in_time(states, robot.wrenches("/force_torque_sensor_broadcaster/wrench", "ft_frame", wrench)))
-    values = setup.told()
+    topic, wrench = "force_torque_sensor_broadcaster/wrench", noisy(-robot.carried("ft_frame"), 0.05, seed=3)
+    # The description is there before the node, as a robot_state_publisher keeps it.
+    observer.node.create_publisher(String, "/cell/robot_description", latched(1)).publish(String(data=text))
+    given = (f"output_folder:={out}", 'candidates:=[""]', "solve_period:=3600.0")
+    arguments = ("--params-file", CONFIG / "ros2_control.yaml", "-r", "__ns:=/cell")
+    chosen = (argument for value in given for argument in ("-p", value))
+    stage.serving(stage.start("geomid_ros.ros.main", "--ros-args", *arguments, *chosen), "cell/geomid")
+    arrays = observer.collect(DiagnosticArray, "/diagnostics")
+    observer.diagnostics(lambda _, status: "no messages on" in status.message, "a robot", "cell/geomid")
+    kinds = {"/joint_states": JointState, f"/{topic}": WrenchStamped}
+    observer.publish(in_time(states, robot.wrenches(f"/{topic}", "ft_frame", wrench)), kinds, "/cell")
+    wanted = {f"{name} accepted": str(len(states)) for name in ("joint_states", topic)}
+    array = observer.diagnostics(lambda values, _: wanted.items() <= values.items(), str(wanted), "cell/geomid")
+    values = {pair.key: pair.value for pair in array.status[0].values}
+    refused = {key for key in values if " rejected: " in key or " dropped: " in key or key.endswith(" lost")}
+    assert refused <= {"rows rejected: standing still", "rows rejected: not measured"}
+    assert all(status.level != DiagnosticStatus.ERROR for other in arrays for status in other.status)
     assert values["joint_states noted: ignored, no moving joints of the robot: 'left_wheel'"] == "1"
     assert int(values["rows rejected: not measured"]) > 0, "the finger's equation"
-    links = setup.saved()
+    success, answer = observer.trigger("/cell/geomid/save")
+    assert success, answer
+    links = links_of(json.loads((out / "estimate.json").read_text()))
     assert_masses_are_true(links, robot.truth)
     carried_mass = sum(links[name]["mass"] for name in ("ft_frame", "finger"))
     assert carried_mass == pytest.approx(robot.truth["ft_frame"][0] + robot.truth["finger"][0], rel=0.01)
 
 
-def test_a_quadruped(stage: Stage) -> None:
+def test_a_quadruped() -> None:
     """Odometry of a base that turns about all axes, and four feet that carry it."""
     text = urdf("anymal_b_simple_description/robots/anymal.urdf")
     robot = InMotion(text, duration=6.0, rate=50.0, seed=1, floating_base=True)
@@ -183,10 +145,8 @@ def test_a_quadruped(stage: Stage) -> None:
         robot.wrenches(f"/{foot.lower()}/wrench", foot, noisy(force, 0.3, seed))
         for seed, (foot, force) in enumerate(forces.items())
     ]
-    setup = Setup(stage, CONFIG / "legged.yaml", text, "-p", "alike:=none")  # each of its links is another one
-    setup.publish(in_time(robot.joint_states(noisy(robot.efforts(forces), 0.1, seed=9)), robot.odometry(), *feet))
-    setup.told()
-    links = setup.saved()
+    items = in_time(robot.joint_states(noisy(robot.efforts(forces), 0.1, seed=9)), robot.odometry(), *feet)
+    links = links_of(identified(text, CONFIG / "legged.yaml", items, alike="none"))  # each of its links is another one
     assert_masses_are_true(links, robot.truth)
     # Its mass is what those of the legs leave of all, and nothing tells these.
     assert links["base"]["identified_moments"]
@@ -200,7 +160,7 @@ def test_a_quadruped_without_force_sensors() -> None:
     feet = ["FL_foot", "FR_foot", "RL_foot", "RR_foot"]
     states = robot.joint_states(noisy(robot.efforts(robot.on_feet(feet)), 0.1, seed=9))
     found = identified(text, CONFIG / "quadruped.yaml", in_time(states, robot.imu("/imu", "imu")), contacts=feet)
-    links = {link["name"]: link for link in found["links"]}
+    links = links_of(found)
     assert_masses_are_true(links, robot.truth)
     assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=0.01)
 
