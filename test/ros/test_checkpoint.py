@@ -169,7 +169,7 @@ def rows_safe(checkpoints: Checkpoints) -> object:
 @pytest.fixture
 def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The time of checkpoints, which stands still: a busy machine makes no disk slow."""
-    time_of_day = [0.0]
+    time_of_day = [1000.0]
     for module in (saving, threads):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: time_of_day[0]))
     return time_of_day

@@ -105,17 +105,15 @@ def test_without_execute_nothing_moves(robot: Robot) -> None:
 def test_what_is_missing_or_in_the_way_is_named_before_anything_moves(robot: Robot) -> None:
     other = robot.stage.folder / "changed.yaml"
     other.write_text(yaml.safe_dump({**bump(JOINTS, 4.0).document(20), "joint_names": ["joint1", "joint2", "x"]}))
-    missing, overlap, excluded = refused(
+    missing, overlap = refused(
         robot.stage,
         ("--controller", "/arm_controller", "--execute"),
         ("--execute", "--avoid", "box:0,0,0.6,0.5,0.5,0.5"),
-        ("--no-collision", "--avoid", "plane:0,0,1,-1"),
     )
     assert "nothing subscribes to /arm_controller/joint_trajectory" in missing
     assert "available: /joint_trajectory_controller" in missing
     assert "at the present pose, " in overlap
     assert " and box:0,0,0.6,0.5,0.5,0.5 overlap by " in overlap
-    assert "exclude each other" in excluded
     assert "unknown joint of topic robot_description" in refused(robot.stage, (), motion=other)[0]
     assert robot.commands == []
 
