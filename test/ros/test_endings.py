@@ -1,4 +1,4 @@
-"""Signals: the node and the player end with the status they should, with results saved and nothing to clean up."""
+"""Signals: the node ends with the status it should, with results saved and nothing to clean up."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import pytest
 from commands.running import done, link, read
 from files.recordings import BAGS
 from geometry_msgs.msg import InertiaStamped
-from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from geomid_ros.commands import live
@@ -61,24 +60,6 @@ def test_a_busy_node_saves_its_last_estimate(stage: Stage, tmp_path: Path) -> No
     assert json.loads((out / "estimate.json").read_text())["rows"]["accepted"] > 0
     assert (out / "identified.urdf").read_text().startswith("<?xml")
     assert {path.name for path in out.iterdir()} == {"estimate.json", "identified.urdf", "posterior.npz"}
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
-def test_a_player_that_is_told_to_end(number: signal.Signals, stage: Stage) -> None:
-    """While it waits for subscribers, or while it plays; the status says that not all was published."""
-    player = stage.play(BAGS / "arm3", fresh=number == signal.SIGINT)
-    if number == signal.SIGINT:
-        heard = stage.observer.collect(JointState, "/joint_states")
-        stage.observer.wait_for(lambda: len(heard) > 10, "messages")
-        descriptions = stage.observer.collect(String, "/robot_description", latched(1))
-        stage.observer.wait_for(lambda: descriptions, "the description, which is kept for who comes late")
-        assert descriptions[0].data == (BAGS / "arm3.urdf").read_text()
-    else:
-        topics = stage.observer.node.get_topic_names_and_types
-        stage.observer.wait_for(lambda: "/joint_states" in dict(topics()), "a player")
-    player.send(number)
-    assert player.status() == 130
-    assert "Interrupted." in player.output
 
 
 def test_a_node_told_to_end_while_it_starts(stage: Stage) -> None:

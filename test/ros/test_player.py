@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +10,11 @@ import pytest
 from files.recordings import BAGS, Recorded, made, recorded, write_bag
 from geometry_msgs.msg import Twist, WrenchStamped
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from geomid_ros.ros.player import _message_class
 
+from .observer import latched
 from .processes import parameter_file
 from .stage import WRIST, Stage
 
@@ -73,6 +76,24 @@ def test_nothing_that_a_robot_would_follow_is_published_unless_named(stage: Stag
     refused = stage.play(bag, 8.0, "--topic", "cmd_velo")
     assert refused.status() == 2
     assert "Did you mean '/cmd_vel'?" in refused.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_player_that_is_told_to_end(number: signal.Signals, stage: Stage) -> None:
+    """While it waits for subscribers, or while it plays; the status says that not all was published."""
+    player = stage.play(BAGS / "arm3", fresh=number == signal.SIGINT)
+    if number == signal.SIGINT:
+        heard = stage.observer.collect(JointState, "/joint_states")
+        stage.observer.wait_for(lambda: len(heard) > 10, "messages")
+        descriptions = stage.observer.collect(String, "/robot_description", latched(1))
+        stage.observer.wait_for(lambda: descriptions, "the description, which is kept for who comes late")
+        assert descriptions[0].data == (BAGS / "arm3.urdf").read_text()
+    else:
+        topics = stage.observer.node.get_topic_names_and_types
+        stage.observer.wait_for(lambda: "/joint_states" in dict(topics()), "a player")
+    player.send(number)
+    assert player.status() == 130
+    assert "Interrupted." in player.output
 
 
 def test_a_bag_cannot_have_just_anything_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
