@@ -60,11 +60,6 @@ def symmetric(rng: np.random.Generator, *shape: int) -> FloatArray:
     return 0.5 * (matrices + np.swapaxes(matrices, -1, -2))
 
 
-def inner(base: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """The metric ``tr(P^-1 X P^-1 Y)`` at ``base`` of tangent vectors, stacks of matrices, ``(...)``."""
-    return np.einsum("...ij,...ji->...", np.linalg.solve(base, x), np.linalg.solve(base, y))
-
-
 def logarithm(base: FloatArray, point: FloatArray) -> FloatArray:
     """The logarithm (8) of matrices ``(N, n, n)`` as ``P log(P^-1 Q)``, by the logarithm of general matrices."""
     return np.array([p @ logm(np.linalg.solve(p, q)) for p, q in zip(base, point, strict=True)])

@@ -75,44 +75,27 @@ def matrices() -> dict[str, FloatArray]:
     return named | {f"random {k}": bodies.symmetric(rng) for k in range(20)}
 
 
-def decompose_all(stack: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Eigenvalues ``(LANES, 4)`` and vectors ``(LANES, 4, 4)`` of ``stack (LANES, 4, 4)``."""
+def decompose(matrix: FloatArray, lane: int) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues ``(4,)`` and vectors ``(4, 4)`` of one matrix among others of all sizes."""
     if compiled.native is None:
         pytest.skip("built without a compiler")
-    values, vectors = np.full((LANES, 4), np.nan), np.full((LANES, 4, 4), np.nan)
-    compiled.native.eigenvectors(stack, values, vectors)
-    return values, vectors
-
-
-def decompose(matrix: FloatArray, lane: int = 3) -> tuple[FloatArray, FloatArray]:
-    """One matrix among others of all sizes."""
     rng = np.random.default_rng(1)
     stack = np.array([10.0**k * bodies.symmetric(rng) for k in range(LANES)])
     stack[lane] = matrix
-    values, vectors = decompose_all(stack)
+    values, vectors = np.full((LANES, 4), np.nan), np.full((LANES, 4, 4), np.nan)
+    compiled.native.eigenvectors(stack, values, vectors)
     return values[lane], vectors[lane]
 
 
 @pytest.mark.parametrize("name", matrices())
-def test_eigenvalues_are_lapacks(name: str) -> None:
+def test_matrices_are_rebuilt_of_orthonormal_eigenvectors_and_lapacks_eigenvalues(name: str) -> None:
+    """In every lane the same."""
     matrix = matrices()[name]
-    expected = np.linalg.eigvalsh(matrix)
-    np.testing.assert_allclose(
-        np.sort(decompose(matrix)[0]), expected, rtol=0, atol=ROUNDING * np.max(np.abs(expected))
-    )
-
-
-@pytest.mark.parametrize("name", matrices())
-def test_eigenvectors_are_orthonormal_and_rebuild_the_matrix(name: str) -> None:
-    matrix = matrices()[name]
-    values, vectors = decompose(matrix)
+    (values, vectors), *others = (decompose(matrix, lane) for lane in range(LANES))
+    for other in others:
+        np.testing.assert_array_equal(other[0], values)
+        np.testing.assert_array_equal(other[1], vectors)
+    expected, size = np.linalg.eigvalsh(matrix), np.max(np.abs(matrix))
+    np.testing.assert_allclose(np.sort(values), expected, rtol=0, atol=ROUNDING * np.max(np.abs(expected)))
     np.testing.assert_allclose(vectors.T @ vectors, np.eye(4), rtol=0, atol=ROUNDING)
-    rebuilt = (vectors * values) @ vectors.T
-    np.testing.assert_allclose(rebuilt, matrix, rtol=0, atol=ROUNDING * np.max(np.abs(matrix)))
-
-
-@pytest.mark.parametrize("lane", range(LANES))
-def test_every_lane_gives_the_same(lane: int) -> None:
-    matrix = bodies.symmetric(np.random.default_rng(3))
-    for found, expected in zip(decompose(matrix, lane), decompose(matrix, 0), strict=True):
-        np.testing.assert_array_equal(found, expected)
+    np.testing.assert_allclose((vectors * values) @ vectors.T, matrix, rtol=0, atol=ROUNDING * size)

@@ -90,40 +90,24 @@ def test_a_real_takes_up_what_no_body_can() -> None:
 
 @pytest.mark.parametrize("side", [NO_ROOT_LOW, NO_ROOT_HIGH])
 @SHAPES
-def test_the_root_is_lost_exactly_at_the_end_of_the_interval(manifold: ParameterManifold, side: int) -> None:
+def test_up_to_the_end_of_the_interval_the_hyperplane_is_reached(manifold: ParameterManifold, side: int) -> None:
+    """Exactly there the root is lost, and value and gradient are continuous.
+
+    The slope of (21) is infinite at the end: a rounded multiplier misses by eps over the gap, and by no more.
+    """
     point, rows, _ = problem(1, manifold, 4, 0.0)
-    outward = 1.0 if side == NO_ROOT_LOW else -1.0
-    for row in rows:
+    for row, norm in zip(rows, norms(manifold, point, rows), strict=True):
         end = end_of_the_interval(manifold, point, row, side)
-        gap = 1e-6 * float(norms(manifold, point, row[None])[0])
-        assert one(manifold, point, row, end - outward * gap).status[0] == ROOT
-        assert one(manifold, point, row, end + outward * gap).status[0] == side
-
-
-@pytest.mark.parametrize("side", [NO_ROOT_LOW, NO_ROOT_HIGH])
-@SHAPES
-def test_the_hyperplane_is_reached_up_to_the_end_of_the_interval(manifold: ParameterManifold, side: int) -> None:
-    """The slope of (21) is infinite at the end: a rounded multiplier misses by eps over the gap, and by no more."""
-    point, rows, _ = problem(1, manifold, 3, 0.0)
-    for row in rows:
-        end, norm = end_of_the_interval(manifold, point, row, side), float(norms(manifold, point, row[None])[0])
+        outward = norm if side == NO_ROOT_LOW else -norm
+        assert one(manifold, point, row, end + 1e-6 * outward).status[0] == side
         for gap in 10.0 ** np.arange(-7.0, 0.0):
-            target = end + gap * float(norm) * (-1.0 if side == NO_ROOT_LOW else 1.0)
+            target = end - gap * outward
             found = one(manifold, point, row, target)
-            landed = manifold.exp(point, found.tangent[0]).parameters
             assert found.status[0] == ROOT
+            landed = manifold.exp(point, found.tangent[0]).parameters
             assert abs(row @ landed - target) <= (ON_THE_PLANE + 20 * EPSILON / gap) * norm
-
-
-@pytest.mark.parametrize("side", [NO_ROOT_LOW, NO_ROOT_HIGH])
-@SHAPES
-def test_value_and_gradient_are_continuous_at_the_end_of_the_interval(manifold: ParameterManifold, side: int) -> None:
-    point, rows, _ = problem(1, manifold, 4, 0.0)
-    for row in rows:
-        end = end_of_the_interval(manifold, point, row, side)
-        gap = 1e-9 * float(norms(manifold, point, row[None])[0])
-        inner, at_end, outer = (one(manifold, point, row, end + shift) for shift in (-gap, 0.0, gap))
-        for found in (inner, outer):
+        at_end = one(manifold, point, row, end)
+        for found in (one(manifold, point, row, end + shift) for shift in (-1e-9 * norm, 1e-9 * norm)):
             assert found.half_squared[0] == pytest.approx(at_end.half_squared[0], rel=1e-7)
             np.testing.assert_allclose(found.tangent, at_end.tangent, rtol=0, atol=1e-3)  # a square root in b
 

@@ -29,11 +29,3 @@ def test_a_congruence_is_a_matrix_of_coordinates() -> None:
     moved = (spd.congruence_matrix(factor) @ spd.to_vector(x)[..., None])[..., 0]
     expected = spd.to_vector(factor @ x @ factor.swapaxes(-1, -2))
     np.testing.assert_allclose(moved, expected, rtol=0, atol=100 * ROUNDING)
-
-
-def test_a_congruence_by_a_rotation_keeps_lengths_and_by_a_symmetric_matrix_is_symmetric() -> None:
-    rng = np.random.default_rng(3)
-    turn = spd.congruence_matrix(np.linalg.qr(rng.normal(size=(4, 4)))[0])
-    np.testing.assert_allclose(turn @ turn.T, np.eye(spd.SIZE), rtol=0, atol=10 * ROUNDING)
-    stretch = spd.congruence_matrix(bodies.symmetric(rng))
-    np.testing.assert_allclose(stretch, stretch.T, rtol=0, atol=100 * ROUNDING)
