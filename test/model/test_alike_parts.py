@@ -62,23 +62,20 @@ def test_links_of_one_chain_are_not() -> None:
     assert every.names == ("first", "second", "third")
 
 
-def test_a_link_that_was_made_heavier_is_not() -> None:
-    text = urdf("go2.urdf").replace('<mass value="0.678" />', '<mass value="0.9" />', 1)
-    changed = text.replace('value="0.678"', 'value="0.9"', 1)
-    names = {name for group in groups(changed) for name in group.names}
-    assert "FL_hip" not in names
-    assert {"FR_hip", "RL_hip", "FL_thigh"} < names
-
-
-@pytest.mark.parametrize("was", ['effort="45.43"', 'xyz="0 0 -0.213"'])
-def test_another_motor_or_a_longer_link_is_another_part(was: str) -> None:
-    """The first calf has another motor; the first thigh is longer."""
+@pytest.mark.parametrize(
+    ("was", "now", "other"),
+    [
+        ('value="0.678"', 'value="0.9"', "FL_hip"),
+        ('effort="45.43"', 'effort="40"', "FL_calf"),
+        ('xyz="0 0 -0.213"', 'xyz="0 0 -0.25"', "FL_thigh"),
+    ],
+    ids=["heavier", "another motor", "longer"],
+)
+def test_one_that_differs_is_another_part(was: str, now: str, other: str) -> None:
     text = urdf("go2.urdf")
     assert was in text
-    changed = groups(text.replace(was, was.replace("45.43", "40").replace("0.213", "0.25"), 1))
-    named = {name for group in changed for name in group.names}
-    assert len(named) == 11
-    assert named.isdisjoint({"FL_calf"} if "effort" in was else {"FL_thigh"})
+    named = {name for group in groups(text.replace(was, now, 1)) for name in group.names}
+    assert named == {f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")} - {other}
 
 
 def test_only_links_that_are_identified_count() -> None:

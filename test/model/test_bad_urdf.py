@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia
@@ -46,18 +42,15 @@ def replaced(old: str, new: str, place: int = 2) -> str:
 
 
 BAD = {
-    "empty": ("", ["XML"]),
     "not XML": ("robot: arm", ["XML"]),
     "cut off": (robot(*ARM)[:-20], ["XML"]),
     "a template": (robot("<xacro:include filename='arm.xacro'/>"), ["xacro file"]),
-    "a null byte": (robot(*ARM, "\0"), ["XML"]),
     "half a character": (robot(*ARM, "\ud800"), ["XML"]),
     "billion laughs": (f"{LAUGHS}]>{robot('&i;', *ARM)}", ["XML", "it has a <!DOCTYPE"]),
     "a file as an entity": (
         f'<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]>{robot("&x;")}',
         ["XML", "it has a <!DOCTYPE"],
     ),
-    "a DTD": (f'<!DOCTYPE robot SYSTEM "http://localhost/r.dtd">{robot(*ARM)}', ["XML", "it has a <!DOCTYPE"]),
     "nested deeply": (robot(*ARM, 70 * "<a>", 70 * "</a>"), ["64"]),
     "too large": (robot(*ARM, f"<!--{5_000_000 * 'x'}-->"), ["5 MB"]),
     "too many links": (robot(*(f'<link name="l{i}"/>' for i in range(1001))), ["1001 links"]),
@@ -73,21 +66,16 @@ BAD = {
     "two joints of one name": (robot(*ARM, link("x"), joint("elbow", "base", "x")), ["joint", "'elbow'"]),
     "two roots": (robot(*ARM, link("stray")), ["root", "base", "stray"]),
     "a missing child": (robot(*ARM, joint("wrist", "lower", "hand")), ["'wrist'", "'hand'"]),
-    "a missing parent": (robot(*ARM, link("hand"), joint("wrist", "arm", "hand")), ["'wrist'", "'arm'"]),
     "no parent": (replaced('<parent link="upper"/>', "", 4), ["'elbow'", "parent"]),
     "a child of two": (robot(*ARM, joint("third", "base", "lower")), ["'lower'", "'elbow'", "'third'"]),
-    "a cycle below the root": (robot(*ARM, joint("back", "lower", "upper")), ["'upper'", "'shoulder'", "'back'"]),
     "a cycle apart": (robot(*ARM, link("x"), link("y"), joint("a", "x", "y"), joint("b", "y", "x")), ["'x'", "loop"]),
-    "its own child": (robot(*ARM, link("x"), joint("a", "x", "x")), ["'x'"]),
     "an unknown type": (replaced("revolute", "ball", 4), ["'elbow'", "'ball'", "prismatic"]),
     "floating": (replaced("revolute", "floating", 4), ["'elbow'", "floating"]),
     "an axis without direction": (replaced("0 0 1", "0 0 0", 4), ["'elbow'", "axis"]),
-    "an axis of two numbers": (replaced("0 0 1", "0 1", 4), ["'elbow'", "axis", "0 1"]),
     "a joint at infinity": (replaced(AXIS, '<origin xyz="inf 0 0"/>' + AXIS, 4), ["'elbow'", "origin", "inf"]),
     "no limits": (replaced(LIMIT, "", 4), ["'elbow'", "limit"]),
     "limits in words": (replaced('effort="10"', 'effort="much"', 4), ["'elbow'", "limit", "much"]),
     "inertia of NaN": (replaced('ixy="0"', 'ixy="nan"'), ["'lower'", "inertia", "nan"]),
-    "infinite mass": (replaced('value="2"', 'value="inf"'), ["'lower'", "mass", "inf"]),
     "no mass": (replaced(MASS, ""), ["'lower'", "mass"]),
     "centre of mass at NaN": (replaced(MASS, MASS + '<origin xyz="0 nan 0"/>'), ["'lower'", "origin", "nan"]),
     "negative mass": (replaced('value="2"', 'value="-2"'), ["'lower'"]),
@@ -158,32 +146,3 @@ def test_pinocchios_own_names_may_be_used(name: str, floating: bool) -> None:
     arm = Robot(text, floating_base=floating)
     assert arm.joint_names == ("shoulder", name)
     assert Robot(text, floating_base=floating, locked_joints=[name]).joint_names == ("shoulder",)
-
-
-def broken(parts: Sequence[str], cuts: Sequence[tuple[float, float, str]]) -> str:
-    """The arm's text with pieces of it replaced."""
-    text = robot(*parts)
-    for begin, length, patch in cuts:
-        place = int(begin * len(text))
-        text = text[:place] + patch + text[place + int(20 * length) :]
-    return text
-
-
-fractions = st.floats(0.0, 1.0, exclude_max=True)
-patches = st.one_of(
-    st.sampled_from(["", "-", "1e308", "nan", "0", " ", "/", '"', ">", "base", "fixed"]), st.text(max_size=3)
-)
-
-
-@settings(max_examples=80, deadline=None, derandomize=True, database=None)
-@given(st.permutations(ARM), st.lists(st.tuples(fractions, fractions, patches), min_size=1, max_size=3), st.booleans())
-def test_damage_anywhere_raises_nothing_else(
-    parts: list[str], cuts: list[tuple[float, float, str]], floating: bool
-) -> None:
-    try:
-        arm = Robot(broken(parts, cuts), floating_base=floating, source=SOURCE)
-    except InputError as error:
-        named = SOURCE in str(error)
-    else:
-        named = all(np.all(np.isfinite(body.parameters)) for body in arm.bodies)
-    assert named

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
-from geomid_ros.model.measurement_model import MeasurementModel, Rows
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 from .robots import GRAVITY, Reference, random_parameters, random_samples, urdf, with_values
@@ -139,24 +138,6 @@ def test_a_continuous_joint_may_turn_for_ever() -> None:
     assert_equal(model.rows(turned).coefficients, model.rows(samples).coefficients)
 
 
-def test_a_prediction_computes_no_columns_of_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = Robot(urdf("panda.urdf"))
-    model = MeasurementModel(robot, [identified_effect(name) for name in DEFAULT_EFFECTS])
-    samples, parameters = random_samples(robot, seed=8), model.nominal_parameters
-    parameters[-1] = 2.0
-    several = np.stack([parameters, model.nominal_parameters], axis=1)
-    expected, computed, rows = model.rows(samples).coefficients @ several, [], MeasurementModel.rows
-
-    def counted(self: MeasurementModel, samples: Samples) -> Rows:
-        computed.append(self.dimension)
-        return rows(self, samples)
-
-    monkeypatch.setattr(MeasurementModel, "rows", counted)
-    assert_equal(model.predict(samples, several)[1], expected)
-    assert_equal(model.predict(samples, parameters)[1], expected[..., 0])
-    assert computed == 2 * [10 * len(model.body_names) + 1]
-
-
 def test_links_that_are_not_identified_keep_their_share() -> None:
     """With a subset of links, rows times its parameters plus the others' known share is the measurement."""
     robot = Robot(urdf("panda.urdf"))
@@ -178,31 +159,10 @@ def test_links_that_are_not_identified_keep_their_share() -> None:
     np.testing.assert_array_equal(part.channels[5].columns, np.arange(10, 20))
 
 
-def test_effects_alone_can_be_identified() -> None:
-    robot = Robot(urdf("ur5_robot.urdf"))
-    model = MeasurementModel(robot, [identified_effect("effort_offset")], links=[])
-    samples = random_samples(robot, seed=10)
-    efforts = Reference(urdf("ur5_robot.urdf")).inverse_dynamics(samples, robot.joint_names)[1]
-    rows = model.rows(samples)
-    assert_equal(samples.effort - rows.targets, efforts)
-    assert model.nominal_inertias.shape == (0,)
-    assert rows.coefficients.shape == (5, 6, 6)
-
-
-def test_an_effort_that_is_not_measured_is_no_target() -> None:
-    robot = Robot(urdf("ur5_robot.urdf"))
-    samples = random_samples(robot, seed=12)
-    effort = samples.effort.copy()
-    effort[:, 2] = np.nan
-    rows = MeasurementModel(robot, []).rows(with_values(samples, effort=effort))
-    np.testing.assert_array_equal(np.isnan(rows.targets), np.isnan(effort))
-    assert np.all(np.isfinite(rows.coefficients))
-
-
 def test_predicted_efforts_are_those_of_the_whole_robot_whatever_is_identified() -> None:
     robot = Robot(urdf("ur5_robot.urdf"))
     samples = random_samples(robot, 5)
-    whole, part = MeasurementModel(robot, []), MeasurementModel(robot, [], links=[robot.body_names[-1]])
-    expected = whole.rows(samples).coefficients @ whole.nominal_inertias
-    for model in (whole, part):
+    expected = Reference(urdf("ur5_robot.urdf")).inverse_dynamics(samples, robot.joint_names)[1]
+    for links in (None, [robot.body_names[-1]], []):
+        model = MeasurementModel(robot, [], links=links)
         assert_equal(model.predicted_efforts(samples, model.nominal_inertias), expected)

@@ -11,17 +11,12 @@ from estimation.arms import arm
 from geomid_ros.model.effects import AtJoints
 from geomid_ros.model.effects.drive import CoupledViscousFriction
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
-from geomid_ros.model.samples import REGIMES, Entries, JointColumn, PlacedColumn, Samples, moves_one_way, regimes
+from geomid_ros.model.samples import REGIMES, Entries, JointColumn, PlacedColumn, moves_one_way, regimes
 from geomid_ros.types import FloatArray
 
+from .robots import fixed_base
+
 PERIOD = 10_000_000  # [ns]
-
-
-def samples(stamps: list[int]) -> Samples:
-    nothing = np.zeros((len(stamps), 0))
-    numbers = np.arange(float(len(stamps)))[:, None]
-    motion = [numbers] * 4
-    return Samples(PERIOD * np.array(stamps, dtype=np.int64), *motion, nothing, nothing, nothing, nothing[:, None])
 
 
 @pytest.mark.parametrize(
@@ -36,35 +31,26 @@ def samples(stamps: list[int]) -> Samples:
     ],
 )
 def test_stretches_are_the_parts_between_pauses(stamps: list[int], lengths: list[int]) -> None:
-    whole = samples(stamps)
+    numbers = np.arange(float(len(stamps)))[:, None]
+    whole = fixed_base(PERIOD * np.array(stamps, dtype=np.int64), *[numbers] * 4)
     parts = whole.segments()
     assert [len(part) for part in parts] == lengths
     np.testing.assert_array_equal(np.concatenate([part.stamps for part in parts]), whole.stamps)
     np.testing.assert_array_equal(np.concatenate([part.effort for part in parts]), whole.effort)
 
 
-class TestColumns:
+def test_columns_that_are_not_chosen_go() -> None:
     """Of effects: one of each joint's own motion, and one of two joints' motors."""
-
-    OWN, PAIR = JointColumn(ViscousFriction()), PlacedColumn(CoupledViscousFriction(), AtJoints(0, 2))
-    ENTRIES = Entries((OWN, PAIR), 3)
-
-    @pytest.fixture
-    def carried(self) -> Samples:
-        rng = np.random.default_rng(3)
-        motion = rng.normal(size=(4, 50, 3))
-        nothing = np.zeros((50, 0))
-        effects = rng.normal(size=(50, len(self.ENTRIES)))
-        stamps = PERIOD * np.arange(50)
-        return Samples(stamps, *motion, nothing, nothing, nothing, nothing[:, None], effects, self.ENTRIES)
-
-    def test_columns_that_are_not_chosen_go(self, carried: Samples) -> None:
-        for chosen in ([self.PAIR], [self.OWN], [self.PAIR, self.OWN], []):
-            kept = carried.with_columns([*chosen, JointColumn(CoulombFriction())])
-            assert set(kept.entries.columns) == set(chosen)
-            for column in chosen:
-                np.testing.assert_array_equal(kept.column(column), carried.column(column))
-            np.testing.assert_array_equal(kept.effort, carried.effort)
+    own, pair = JointColumn(ViscousFriction()), PlacedColumn(CoupledViscousFriction(), AtJoints(0, 2))
+    entries, rng = Entries((own, pair), 3), np.random.default_rng(3)
+    motion, effects = rng.normal(size=(4, 50, 3)), rng.normal(size=(50, len(entries)))
+    carried = fixed_base(PERIOD * np.arange(50), *motion, effects=effects, entries=entries)
+    for chosen in ([pair], [own], [pair, own], []):
+        kept = carried.with_columns([*chosen, JointColumn(CoulombFriction())])
+        assert set(kept.entries.columns) == set(chosen)
+        for column in chosen:
+            np.testing.assert_array_equal(kept.column(column), carried.column(column))
+        np.testing.assert_array_equal(kept.effort, carried.effort)
 
 
 FAST, SLOW, STILL = range(REGIMES)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.channels import AXES, WrenchSensor
-from geomid_ros.model.effects import Motion, SensorEffect, identified_effect
+from geomid_ros.model.effects import identified_effect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Entries, Samples
@@ -111,20 +110,16 @@ def test_a_known_load_on_a_fixed_robot_reaches_its_joints() -> None:
     assert_equal(measured, predicted)
 
 
-MOUNTED = pytest.mark.parametrize(
-    ("name", "link", "floating"),
+@pytest.mark.parametrize(
+    ("name", "link", "floating", "sign"),
     [
-        ("ur5_robot.urdf", "wrist_1_link", False),  # a moving link
-        ("panda.urdf", "panda_hand", False),  # inside a group of fixed links, fingers after it
-        ("talos_reduced.urdf", "wrist_left_ft_link", True),
-        ("a1.urdf", "FL_foot", True),
-        ("human.urdf", "left_clavicle", True),
+        ("ur5_robot.urdf", "wrist_1_link", False, 1.0),  # a moving link
+        ("panda.urdf", "panda_hand", False, -1.0),  # inside a group of fixed links, fingers after it
+        ("talos_reduced.urdf", "wrist_left_ft_link", True, 1.0),
+        ("a1.urdf", "FL_foot", True, -1.0),
+        ("human.urdf", "left_clavicle", True, 1.0),
     ],
 )
-
-
-@MOUNTED
-@pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_mounted_sensor_moves_all_that_comes_after_it(name: str, link: str, floating: bool, sign: float) -> None:
     """Its rows are the base part of the inverse dynamics of the distal part, a robot of its own led by its frame."""
     robot = Robot(urdf(name), floating_base=floating, cuts=[link])
@@ -231,22 +226,6 @@ def test_an_effect_of_a_sensor_is_felt_at_the_axis_that_its_parameter_names() ->
     _, predicted = model.predict(samples, np.array(shown))
     added = (predicted - model.predict(samples, np.array(without))[1])[:, -3:]
     np.testing.assert_allclose(added, np.tile([0.5, 3.0, -2.0], (len(samples), 1)), atol=1e-9)
-
-
-def test_a_sensors_effect_is_computed_once_for_all_of_its_axes(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, computed = Robot(urdf("panda.urdf"), cuts=["panda_hand"]), []
-    sensor = WrenchSensor("/wrist", "panda_hand", "mounted", ("tz", "fx", "fy"))
-    effect = identified_effect("wrench_offset")
-    model = MeasurementModel(robot, [effect], [sensor])
-    columns = type(effect).columns
-
-    def counted(self: SensorEffect, motion: Motion, axes: Sequence[str]) -> FloatArray:
-        computed.append(axes)
-        return columns(self, motion, axes)
-
-    monkeypatch.setattr(type(effect), "columns", counted)
-    model.rows(random_samples(robot, seed=11, sensors=1))
-    assert computed == [["tz", "fx", "fy"]]
 
 
 def test_rows_are_the_same_whether_samples_carry_the_effects_of_motion_or_not() -> None:
