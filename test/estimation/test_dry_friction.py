@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.estimate import STDS_OF_95, EffectEstimate, Estimate
+from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
 from geomid_ros.estimation.estimator import _significant, _Solved
 from geomid_ros.gap.candidates import EffectTerm, passivity_constraints
 from geomid_ros.geometry.manifold import ParameterManifold
@@ -59,23 +59,20 @@ def test_friction_that_sticks_is_as_measured() -> None:
     assert excess == pytest.approx(level, rel=0.1)
 
 
-def beside(within: float, pace: float) -> dict[str, EffectEstimate]:
-    """Effects at the joint, by name, if friction that sticks falls within this speed, in slow motion."""
-    found = solved(sets_in(1.0, within, pace))
-    return {effect.name: effect for effect in found.effects if effect.joint == "joint2"}
-
-
-@pytest.mark.parametrize(("within", "speeds"), [(0.075, (0.06, 0.12)), (0.16, (0.12, 0.25)), (0.2, (0.12, 0.25))])
-def test_friction_that_sticks_is_found_between_the_speeds_that_are_tried(within: float, speeds: tuple[float]) -> None:
-    """Another shape of the dry friction beside it, in which nothing falls, would follow the rows better."""
-    assert beside(within, 0.3)["stribeck_friction"].parameters["speed"].value in speeds
-
-
-@pytest.mark.parametrize(("within", "pace"), [(0.075, 0.3), (0.16, 0.3), (0.2, 0.2)])
-def test_intervals_include_constants_between_those_that_are_tried(within: float, pace: float) -> None:
-    """Slow motion hardly tells viscous friction from another speed. The size of the excess is for the stated speed."""
-    own, true = beside(within, pace), arm("arm3", 0, noise=0.02).true.effects["viscous_friction"][JOINT]
+@pytest.mark.parametrize(
+    ("within", "pace", "speeds"), [(0.075, 0.3, (0.06, 0.12)), (0.16, 0.3, (0.12, 0.25)), (0.2, 0.2, (0.12, 0.25))]
+)
+def test_friction_that_sticks_is_found_between_the_speeds_that_are_tried(
+    within: float, pace: float, speeds: tuple[float, float]
+) -> None:
+    """Another shape of the dry friction beside it, in which nothing falls, would follow the rows better. Slow motion
+    hardly tells viscous friction from another speed: its interval holds the truth. The size of the excess is for the
+    stated speed."""
+    effects = solved(sets_in(1.0, within, pace)).effects
+    own = {effect.name: effect for effect in effects if effect.joint == "joint2"}
     viscous, excess = own["viscous_friction"], own["stribeck_friction"]
+    assert excess.parameters["speed"].value in speeds
+    true = arm("arm3", 0, noise=0.02).true.effects["viscous_friction"][JOINT]
     assert abs(viscous.value - true) < STDS_OF_95 * viscous.std < 2.0 * true
     assert excess.std**2 < (StribeckFriction.drift**2 + 0.1**2) * excess.value**2
 
@@ -138,7 +135,7 @@ def test_the_least_one_goes_alone(sizes: tuple[float, ...], gone: list[int]) -> 
 def test_friction_that_noise_hides_is_not_known_to_be_nothing() -> None:
     """The deviation of a logarithm would be a share of next to nothing. None is smaller than that of the least squares
     of the friction's column alone."""
-    for seed in range(4):
+    for seed in range(2):
         case = arm("arm3", seed, seconds=5.0, noise=0.0)
         small = Truth(case.true.links, {**case.true.effects, "viscous_friction": np.full(3, 0.02)})
         clean = efforts(case.model.robot, small, case.samples)
