@@ -84,12 +84,11 @@ def test_links_are_possible_and_described_consistently() -> None:
     assert found.rows_accepted == case.samples.effort.size
 
 
-@pytest.mark.parametrize("rows", [1, 10])
-def test_a_channel_with_few_rows_does_not_spoil_the_others(rows: int) -> None:
+def test_a_channel_with_one_row_does_not_spoil_the_others() -> None:
     """Found by breaking it: one row, met exactly, got all the weight."""
     case = arm("arm3", 0)
     silent, few = case.samples.effort.copy(), case.samples.effort.copy()
-    silent[:, 2], few[rows:, 2] = np.nan, np.nan
+    silent[:, 2], few[1:, 2] = np.nan, np.nan
     without, found = solved(case.with_efforts(silent)), solved(case.with_efforts(few))
     np.testing.assert_allclose(case.error(found.parameters)[:2], case.error(without.parameters)[:2], atol=0.3 * NOISE)
 
@@ -148,6 +147,7 @@ def test_dry_friction_of_a_joint_that_never_moves_has_any_value() -> None:
     assert abs(offset.value - case.true.effects["effort_offset"][2]) < 4.0 * offset.std
     assert len(unseen) == 3
     assert all(effect.std > stiction for effect in unseen)
+    assert max(abs(effect.value) for effect in found.effects) < 10.0, "no friction of tonnes"
     assert any(text.startswith("never measured in motion: 'joint3';") for text in found.warnings)
 
 

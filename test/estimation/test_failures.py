@@ -108,24 +108,12 @@ def test_channels_that_are_never_measured(silent: tuple[int, ...]) -> None:
             assert effect.from_data == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_joint_that_never_moves_does_not_get_a_friction_of_tonnes() -> None:
-    """Predictions of later motions of that joint stay of the order of the prior's."""
-    case = arm("arm3", 0, seconds=10)
-    moved = {name: getattr(case.samples, name).copy() for name in ("position", "velocity", "acceleration")}
-    for array in moved.values():
-        array[:, 2] = 0.0
-    held = replace(case, samples=replace(case.samples, **moved))
-    found = solved(held)
-    assert_sound(found)
-    assert max(abs(effect.value) for effect in found.effects) < 10.0
-
-
 @pytest.mark.parametrize("gamma", [1e-15, 1e12])
 def test_extreme_weights_of_the_prior(gamma: float) -> None:
     assert_sound(solved(arm("arm3", 0, seconds=4), gamma=gamma))
 
 
-@pytest.mark.parametrize("sigma", [1.0, 1e-9, 1e9])
+@pytest.mark.parametrize("sigma", [1e-9, 1e9])
 def test_configured_sigmas(sigma: float) -> None:
     found = solved(arm("arm3", 0, seconds=4), sigma={"joint2": sigma}, max_steps=30)
     assert_sound(found)
@@ -136,7 +124,6 @@ def test_configured_sigmas(sigma: float) -> None:
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ({"gamma": 0.0}, "gamma"),
         ({"gamma": np.inf}, "gamma"),
         ({"sigma": {"joint1": 0.0}}, "sigma of 'joint1'"),
         ({"sigma": {"jiont1": 1.0}}, "Did you mean 'joint1'"),

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from geomid_ros.estimation import estimator
-from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, with_fitted_effects, with_second_start
+from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, with_fitted_effects
 from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
-from geomid_ros.estimation.tolerances import SETTLED
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.effects import identifiable
@@ -53,10 +50,10 @@ def distances(found: Fit, links: FloatArray) -> FloatArray:
     return np.array([spd.distance(a, pseudo_inertia.from_parameters(b)) for a, b in zip(own, links, strict=True)])
 
 
-@pytest.mark.parametrize(("wrong", "seed"), [(2, 0), (4, 1)])
-def test_a_link_that_is_wrong_alone_is_let_go_and_the_others_stay(wrong: int, seed: int) -> None:
+def test_a_link_that_is_wrong_alone_is_let_go_and_the_others_stay() -> None:
     """Its mass is thrice the URDF's. Its spread grows, that of the others does not; one spread for all links, found
     from the same data, would loosen them, too."""
+    wrong, seed = 4, 1
     case = arm("arm7", seed)
     nominal = case.model.nominal_inertias.reshape(-1, 10)
     links = nominal.copy()
@@ -139,23 +136,6 @@ def test_noise_and_spreads_are_a_fixed_point() -> None:
     np.testing.assert_allclose(warm.point.parameters, cold.point.parameters, rtol=1e-4, atol=1e-6)
 
 
-def test_a_rough_fit_ends_near_the_fixed_point_in_fewer_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, rounds, solver = problem(arm("arm7", 3)), list[int](), trust_region
-
-    def counted(*arguments: Any, **options: Any) -> Solution:
-        rounds[-1] += 1
-        return solver(*arguments, **options)
-
-    monkeypatch.setattr("geomid_ros.estimation.fit.trust_region", counted)
-    found = []
-    for rough in (True, False):
-        rounds.append(0)
-        found.append(fit(whole, tolerance=1e-10, max_steps=300, rough=rough))
-    assert 2 * rounds[0] <= rounds[1]
-    np.testing.assert_allclose(found[0].sigmas, found[1].sigmas, rtol=2 * SETTLED)
-    np.testing.assert_allclose(found[0].prior_stds, found[1].prior_stds, rtol=5 * SETTLED)
-
-
 def test_a_links_spread_is_its_distance_from_the_prior_and_what_is_unsure_of_it() -> None:
     """MacKay's fixed point, with the posterior's covariance by its principal directions."""
     found = fit(problem(arm("arm3", 1)), tolerance=1e-10, max_steps=300)
@@ -187,16 +167,6 @@ def test_the_score_is_the_density_of_what_was_measured() -> None:
     wide = found.prior_stds / DEFAULT_PRIOR_STD
     expected = density + CERTAINTY * np.sum(wide**-2.0 + 2.0 * np.log(wide))
     assert found.score == pytest.approx(expected, abs=0.05)
-
-
-@pytest.mark.parametrize(("second", "taken"), [(-9.0, "second"), (-1e-12, "first"), (9.0, "first")])
-def test_the_likelier_of_two_fits_is_taken(second: float, taken: str) -> None:
-    def solve(_: object, start: object = None, *_spreads: object) -> Any:
-        return SimpleNamespace(name="second", score=second) if start else SimpleNamespace(name="first", score=0.0)
-
-    whole: Any = None
-    other: Any = "elsewhere"
-    assert with_second_start(solve, other, None)(whole).name == taken  # type: ignore[attr-defined]
 
 
 def test_of_two_minima_the_more_likely_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -281,7 +251,7 @@ def test_rows_of_slow_motion_stand_for_those_of_fast_motion_where_these_are_few(
     np.testing.assert_allclose(solved(creeping, cutoff=10.0).sigmas, NOISE, rtol=0.15)
 
 
-@pytest.mark.parametrize(("rows", "slow"), [(12, 1), (25, 4), (36, 12), (45, 1)])
+@pytest.mark.parametrize(("rows", "slow"), [(12, 1), (36, 12)])
 def test_few_rows_of_all_kinds_are_no_proof_of_an_exact_sensor(rows: int, slow: int) -> None:
     case = arm("arm3", 0, seconds=20)
     chosen = np.random.default_rng(rows).choice(len(case.samples), rows, replace=False)
@@ -291,9 +261,9 @@ def test_few_rows_of_all_kinds_are_no_proof_of_an_exact_sensor(rows: int, slow: 
     assert np.all(solved(replace(case, samples=replace(samples, velocity=speeds))).sigmas > 0.1 * NOISE)
 
 
-@pytest.mark.parametrize("slope", [1.0, 10.0, 100.0])
-def test_effects_are_at_the_minimum_beside_links_that_are_held(slope: float) -> None:
+def test_effects_are_at_the_minimum_beside_links_that_are_held() -> None:
     """A positive one that the data pull below zero is stopped by its prior alone, which is steep there."""
+    slope = 100.0
     manifold, body = ParameterManifold(1, 1, np.ones(1)), np.array([1.0, *[0.0] * 3, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1])
     prior = manifold.point(np.array([*body, 1.0, 0.0]))
     rows = np.column_stack([np.ones((2, 1)), np.zeros((2, 9)), np.diag([slope, 1.0]), [1.0 - slope, 2.0]])
