@@ -67,15 +67,22 @@ def weights(rng: np.random.Generator, manifold: ParameterManifold) -> FloatArray
 
 @needs_compiled
 @MANIFOLDS
-def test_an_objective_of_channels_is_the_same(manifold: ParameterManifold, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_objectives_of_channels_and_of_products_are_the_same(
+    manifold: ParameterManifold, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rng = np.random.default_rng(1)
     point = bodies.point(rng, manifold)
     profile = sparse(rng, manifold, point)
-    known = rng.normal(size=(1, manifold.dimension + 1))
-    objective = ProfileObjective(profile, weights(rng, manifold), known.T @ known)
-    own, squares = objective.evaluate(point), profile.squares(point)
+    known = rng.normal(size=(2, manifold.dimension + 1))
+    own, products = known.T @ known, profile.products.weighed([1.0, 0.0, 0.0, 0.0])
+    objectives = (
+        ProfileObjective(profile, weights(rng, manifold), own),
+        ResidualObjective(manifold, products, bodies.point(rng, manifold), weights(rng, manifold), 1.0, own),
+    )
+    evaluations, squares = [objective.evaluate(point) for objective in objectives], profile.squares(point)
     without(monkeypatch)
-    assert_same(own, objective.evaluate(point))
+    for evaluation, objective in zip(evaluations, objectives, strict=True):
+        assert_same(evaluation, objective.evaluate(point))
     np.testing.assert_allclose(squares, profile.squares(point), rtol=ROUNDING)
 
 
@@ -97,19 +104,6 @@ def test_a_channel_below_its_floor_is_one_of_known_noise() -> None:
         ahead, behind = (objective.evaluate(objective.step(point, size * direction)).value for size in (1e-5, -1e-5))
         slope, largest = (ahead - behind) / 2e-5, float(np.max(np.abs(bound.gradient)))
         assert bound.gradient @ direction == pytest.approx(slope, abs=1e-4 * largest)
-
-
-@needs_compiled
-@MANIFOLDS
-def test_an_objective_of_products_is_the_same(manifold: ParameterManifold, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(1)
-    point = bodies.point(rng, manifold)
-    products = sparse(rng, manifold, point).products.weighed([1.0, 0.0, 0.0, 0.0])
-    prior, known = bodies.point(rng, manifold), rng.normal(size=(2, manifold.dimension + 1))
-    objective = ResidualObjective(manifold, products, prior, weights(rng, manifold), 1.0, known.T @ known)
-    own = objective.evaluate(point)
-    without(monkeypatch)
-    assert_same(own, objective.evaluate(point))
 
 
 @needs_compiled
@@ -137,22 +131,6 @@ def test_what_is_no_number_is_no_sum_of_squares() -> None:
     has_it = [10 in places for places in profile.products.places]
     assert any(has_it)
     assert np.isnan(profile.squares(nowhere)).tolist() == has_it
-
-
-@pytest.mark.usefixtures("either")
-def test_a_column_that_a_channel_does_not_have_does_not_matter_to_it() -> None:
-    manifold = ParameterManifold(1, 0, np.array([1.0, 3.0]))
-    rng = np.random.default_rng(1)
-    point = bodies.point(rng, manifold)
-    profile = sparse(rng, manifold, point)
-    places, blocks = [*profile.products.places], [*profile.products.blocks]
-    left = np.flatnonzero(places[1] != 11)
-    places[1], blocks[1] = places[1][left], blocks[1][left[:, None], left]
-    profile = replace(profile, products=replace(profile.products, places=tuple(places), blocks=tuple(blocks)))
-    other = replace(point, reals=point.reals + np.array([0.0, 5.0]))
-    before, after = profile.squares(point), profile.squares(other)
-    assert after[1] == pytest.approx(before[1], rel=1e-12)
-    assert after[0] != pytest.approx(before[0], rel=1e-3)
 
 
 @needs_compiled
@@ -227,12 +205,3 @@ def test_they_are_those_of_all_columns() -> None:
         np.testing.assert_allclose(products.targets, np.sum(left[:, :, -1] ** 2, axis=1))
     for channel, measured in enumerate(every):
         np.testing.assert_allclose(whole.weighed(np.arange(len(whole)) == channel), measured.T @ measured, atol=1e-12)
-
-
-def test_a_channel_has_no_room_for_what_it_does_not_have() -> None:
-    """So that a robot of many limbs takes little: blocks of the columns that are there."""
-    products = own_columns(channel_rows(np.random.default_rng(0)))
-    assert all(
-        block.shape == (len(place), len(place)) for place, block in zip(products.places, products.blocks, strict=True)
-    )
-    assert products.packed.blocks.size == sum(len(place) ** 2 for place in products.places) < CHANNELS * SIZE**2

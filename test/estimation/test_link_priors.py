@@ -32,6 +32,7 @@ from geomid_ros.types import FloatArray
 from .arms import Truth, efforts, motion, samples
 
 THIGHS = ("FL_thigh", "FR_thigh", "RL_thigh", "RR_thigh")
+LEGS = ("FL", "FR", "RL", "RR")
 HEAVIER = 1.4
 
 
@@ -63,6 +64,12 @@ def identifier(heavy: tuple[str, ...], legs: tuple[str, ...], alike: bool) -> Id
     result = Identifier(model, EstimatorSettings(alike=parts() if alike else ()))
     result.add(samples(moving, measured, rate=50.0))
     return result
+
+
+@cache
+def solved(heavy: tuple[str, ...], legs: tuple[str, ...], alike: bool) -> Estimate:
+    """Its estimate."""
+    return identifier(heavy, legs, alike).solve()
 
 
 def alike_prior(links: FloatArray | None = None) -> AlikePrior:
@@ -123,7 +130,7 @@ def test_a_link_of_less_weight_is_held_less() -> None:
 
 
 def test_one_leg_tells_of_the_others() -> None:
-    together, alone = (masses(identifier(THIGHS, ("FL",), alike).solve()) for alike in (True, False))
+    together, alone = (masses(solved(THIGHS, ("FL",), alike)) for alike in (True, False))
     for name in THIGHS[1:]:
         assert alone[name] == pytest.approx(1.0, abs=1e-6)
         assert together[name] == pytest.approx(together[THIGHS[0]], rel=0.03)
@@ -131,11 +138,11 @@ def test_one_leg_tells_of_the_others() -> None:
 
 
 def test_a_leg_that_was_repaired_is_let_go_and_told() -> None:
-    found = identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), True).solve()
+    found = solved(THIGHS[1:2], LEGS, True)
     told = [warning for warning in found.warnings if "identical parts" in warning]
     assert len(told) == 1
     assert told[0].startswith("link 'FR_thigh' differs from FL_thigh, RL_thigh, RR_thigh")
-    free = identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), False).solve()
+    free = solved(THIGHS[1:2], LEGS, False)
     for name in THIGHS:
         assert masses(found)[name] == pytest.approx(masses(free)[name], abs=0.1)
 
@@ -160,7 +167,7 @@ def test_parts_that_all_differ_are_held_as_little_as_they_are_alike(
 def test_a_fit_ends_where_its_prior_is_linearised() -> None:
     """So the rows' residuals there are those of the geodesic prior, and its blocks' weights are those of their
     distances."""
-    model, told = quadruped(), identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), True)
+    model, told = quadruped(), identifier(THIGHS[1:2], LEGS, True)
     known, sigmas = weighed_rows(model, ()), np.full(len(model.channels), np.nan)
     prior = AlikePrior.of(parts(), Problem(model, told.snapshot(), None, known, sigmas, None, 1.0))
     found, weights = fit_with_coupled_prior(prior, partial(fit.fit, tolerance=1e-10, max_steps=300))
@@ -171,7 +178,7 @@ def test_a_fit_ends_where_its_prior_is_linearised() -> None:
 
 
 def test_parts_that_are_alike_are_not_told_as_unlike() -> None:
-    found = identifier(THIGHS, ("FL", "FR", "RL", "RR"), True).solve()
+    found = solved(THIGHS, LEGS, True)
     assert not [warning for warning in found.warnings if "identical parts" in warning]
     every = np.array([masses(found)[name] for name in THIGHS])
     assert np.ptp(every) < 0.05
@@ -197,8 +204,9 @@ def test_what_a_file_lacks_makes_no_part_unlike_the_others(monkeypatch: pytest.M
     assert among == {model.dimension}
 
 
-@pytest.mark.parametrize(("rounds", "told"), [(1, True), (50, False)])
-def test_a_fit_that_does_not_settle_says_so(rounds: int, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit, "ROUNDS", rounds)
-    estimate = identifier(("RL_thigh",), ("FL", "FR", "RL", "RR"), True).solve()
-    assert any("ran out of steps" in warning for warning in estimate.warnings) is told
+def test_a_fit_that_does_not_settle_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    settled = solved(THIGHS[1:2], LEGS, True)
+    monkeypatch.setattr(fit, "ROUNDS", 1)
+    unsettled = identifier(THIGHS[1:2], LEGS, True).solve()
+    told = [any("ran out of steps" in warning for warning in found.warnings) for found in (settled, unsettled)]
+    assert told == [False, True]

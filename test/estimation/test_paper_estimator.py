@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from geometry import bodies
@@ -120,18 +118,13 @@ def test_rows_without_a_projection_are_set_aside_and_counted() -> None:
         ({"rows": np.ones((2, 10))}, r"\(2, 10\)"),
         ({"targets": np.ones((3, 1))}, r"\(3, 1\)"),
         ({"prior": np.ones((1, 9))}, r"\(1, 9\)"),
-        ({"prior": ROD[:, :, None]}, r"\(1, 10, 1\)"),
         ({"sigmas": np.ones(2)}, r"\(2,\)"),
-        ({"sigmas": 0.0}, "standard deviations"),
         ({"sigmas": np.array([1.0, -1.0, 1.0])}, "standard deviations"),
         ({"rows": np.full((3, 10), np.nan)}, "rows"),
-        ({"targets": np.array([1.0, np.inf, 1.0])}, "targets"),
         ({"prior": -ROD}, "link 0"),
         ({"prior": np.concatenate([ROD, 0.0 * ROD]), "rows": np.ones((3, 20))}, "link 1"),
         ({"gamma": 0.0}, "gamma"),
-        ({"gamma": -1.0}, "gamma"),
         ({"gamma": np.nan}, "gamma"),
-        ({"gamma": np.inf}, "gamma"),
         ({"solver": "newton"}, "cyclic, trust_region"),
     ],
 )
@@ -156,22 +149,6 @@ def test_the_weight_that_is_chosen_predicts_fresh_rows_nearly_as_well_as_the_bes
 
     best = min(error(gamma) for gamma in 10.0 ** -np.arange(1.0, 6.5, 0.5))
     assert error(None) < 1.15 * best
-
-
-def test_the_choice_ends_where_two_weights_in_succession_predict_worse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One alone may be a fluke."""
-    case, taken = problem(1, LINKS), []
-
-    def losses(*_: object, exact: bool) -> Iterator[float]:
-        for loss in (9.0, 10.0, 7.5, 8.4, 8.0, 3.0):
-            assert not exact
-            taken.append(loss)
-            yield loss
-
-    monkeypatch.setattr(paper_estimator, "held_out_losses", losses)
-    chosen = paper_estimator.choose_gamma(LINKS, case.rows, case.targets, case.prior, "residual")
-    assert len(taken) == 5
-    assert chosen == paper_estimator.best_weight(taken[:4]) == pytest.approx(10.0**-3, rel=0.5)
 
 
 def test_the_best_weight_is_the_minimum_of_a_parabola_through_the_logarithms() -> None:

@@ -113,10 +113,9 @@ def test_reals_have_no_origin_and_no_unit(scale: float) -> None:
 @pytest.mark.parametrize(
     ("how", "solver", "kind"),
     [
-        ("numbers", "trust_region", "geodesic"),
         ("decomposition", "trust_region", "residual"),
+        ("numbers", "trust_region", "geodesic"),
         ("numbers", "cyclic", "residual"),
-        ("decomposition", "cyclic", "geodesic"),
     ],
 )
 def test_trial_points_that_overflow_shorten_the_step(
@@ -229,12 +228,9 @@ def test_a_linear_iteration_is_at_its_fixed_point_after_one_round_more_than_it_h
     for _ in range(size + 1):
         begun = extrapolation.next(begun, matrix @ begun + shift)
     np.testing.assert_allclose(begun, exact, rtol=1e-6, atol=1e-6 * float(np.linalg.norm(exact)))
-
-
-def test_at_the_fixed_point_it_stays() -> None:
-    extrapolation, at = Extrapolation(), np.array([1.0, -2.0])
+    extrapolation = Extrapolation()
     for _ in range(10):
-        np.testing.assert_array_equal(extrapolation.next(at, at), at)
+        np.testing.assert_array_equal(extrapolation.next(exact, exact), exact)
 
 
 def test_what_is_not_linear_at_all_is_not_extrapolated_far() -> None:

@@ -219,28 +219,6 @@ def test_parameters_that_are_left_out_are_zero(count: int) -> None:
         np.testing.assert_allclose(content(part, x[chosen]), content(whole, x), rtol=CONTENT)
 
 
-def test_a_snapshot_leaves_to_its_reader_what_waits() -> None:
-    """Also rows that are added to it: whoever solves decomposes them, not the thread that must not wait."""
-    found, x = summary(*rows(5, 90), block=1000, forgetting_time=50.0), np.ones(DIMENSION)
-
-    def waiting(of: RowSummary) -> int:
-        return sum(part.waiting_rows for fold in of._summaries for part in fold)
-
-    before, copy = waiting(found), found.snapshot()
-    assert waiting(copy) == before > 0
-    copy.add(*rows(6, 400))
-    assert waiting(copy) == before + copy.rows - found.rows
-    content(copy, x)
-    assert (waiting(copy), waiting(found)) == (0, before)
-
-
-def test_a_fold_that_is_full_waits_for_nothing() -> None:
-    """Its rows would be decomposed again in every copy."""
-    found = summary(*rows(5, 90), block=20)
-    waiting = [sum(part.waiting_rows for part in fold) for fold in found._summaries]
-    assert [bool(rows) for rows in waiting] == [False] * 4 + [True] + [False] * (len(waiting) - 5)
-
-
 def test_a_fold_that_lacks_a_group_is_refused() -> None:
     """And changes nothing."""
     found = summary(*rows(0, 100), folds=4, block=30)

@@ -187,28 +187,6 @@ def test_rows_written_down_several_times_do_not_shrink_the_interval() -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
 
 
-def test_other_priors_of_the_same_rows_decompose_them_only_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, decomposed, eigh = np.random.default_rng(6), list[int](), np.linalg.eigh
-    folds, known, shared = (
-        Folds(recorded(rng.normal(size=(80, 4)), rng.normal(size=80))),
-        nothing(4),
-        list[FloatArray](),
-    )
-    monkeypatch.setattr(np.linalg, "eigh", lambda matrix: decomposed.append(len(matrix)) or eigh(matrix))
-    for stds in (0.2, 0.3):
-        found = estimate_uncertainty(
-            *(folds, known, 1.0, np.full(4, stds**-2.0), np.zeros(4), one_group(4)), assumed_prior_stds=stds
-        )
-        shared.append(found.covariance)
-        again = estimate_uncertainty(
-            *(Folds(folds.parts), nothing(4), 1.0, np.full(4, stds**-2.0), np.zeros(4), one_group(4)),
-            assumed_prior_stds=stds,
-        )
-        np.testing.assert_array_equal(found.covariance, again.covariance)
-    assert len(decomposed) == 4 + 4 + 2 + 4
-    assert np.all(np.diag(shared[1]) > np.diag(shared[0]))
-
-
 def test_inflation_is_that_of_its_own_kind() -> None:
     """Residuals that change slowly make a constant uncertain, not what changes sign at every sample."""
     rng, count = np.random.default_rng(4), 4000

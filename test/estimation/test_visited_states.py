@@ -10,7 +10,6 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation import uncertainty
-from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.visited_states import Visits
@@ -33,7 +32,7 @@ def wandering(count: int, size: int = 6) -> FloatArray:
     return np.asarray(np.sin(rates * seconds + np.arange(size)) + 0.1 * seconds)
 
 
-@pytest.mark.parametrize("cycles", [2, 7, 20])
+@pytest.mark.parametrize("cycles", [2, 20])
 def test_of_a_cycle_that_repeats_each_state_counts_about_once(cycles: int) -> None:
     noise = 1e-6 * np.random.default_rng(0).normal(size=(40 * cycles, 4))
     phase = 2.0 * np.pi * np.arange(40 * cycles)[:, None] / 40.0
@@ -42,7 +41,7 @@ def test_of_a_cycle_that_repeats_each_state_counts_about_once(cycles: int) -> No
     assert 1.0 / (3 * cycles) < visited(states).distinct <= 1.0 / cycles + 1e-3
 
 
-@pytest.mark.parametrize("period", [320, 317.3, 256, 64])
+@pytest.mark.parametrize("period", [317.3, 64])
 def test_cycles_are_found_whatever_share_of_the_states_is_kept(period: float) -> None:
     cycles = 60
     phase = 2.0 * np.pi * np.arange(round(cycles * period))[:, None] / period
@@ -59,13 +58,6 @@ def test_a_motion_that_does_not_come_back_has_as_many_states_as_instants() -> No
 def test_a_robot_that_stands_is_in_few_states() -> None:
     states = np.random.default_rng(0).normal(size=(1000, 6))
     assert visited(states).distinct < 0.1
-
-
-def test_units_and_constant_coordinates_do_not_matter() -> None:
-    phase = 2.0 * np.pi * np.arange(200)[:, None] / 37.3
-    states = np.sin(phase + np.arange(4.0))
-    other = np.column_stack([states * [1.0, 1024.0, 0.125, 8.0], np.full(200, 0.75)])
-    assert visited(other).distinct == visited(states).distinct
 
 
 def test_only_states_that_are_so_far_apart_in_time_count() -> None:
@@ -98,12 +90,6 @@ def test_the_same_motion_in_two_recordings_is_one() -> None:
     assert both.distinct == pytest.approx(0.5, abs=0.02)
 
 
-def test_of_two_recordings_states_are_kept_as_the_longer_one_has_them() -> None:
-    longer = visited(wandering(5000)).plus(visited(wandering(1000)))
-    assert longer.every == 8
-    assert len(longer.kept) == pytest.approx(6000 / 8, abs=3)
-
-
 def test_a_place_that_is_passed_the_other_way_is_another_state() -> None:
     case = arm("arm3", seed=3, seconds=3.0)
     back = replace(case.samples, position=case.samples.position[::-1], velocity=-case.samples.velocity[::-1])
@@ -111,15 +97,6 @@ def test_a_place_that_is_passed_the_other_way_is_another_state() -> None:
     for samples in (case.samples, replace(back, acceleration=case.samples.acceleration[::-1])):
         found.add(samples)
     assert found.snapshot().visited.distinct == pytest.approx(1.0, abs=0.01)
-
-
-def test_states_are_as_far_apart_as_the_filter_leaves_them_independent() -> None:
-    case = arm("arm3", seed=3, seconds=3.0)
-    slow, fast = (Identifier(case.model, EstimatorSettings(cutoff=cutoff)) for cutoff in (2.0, 20.0))
-    for each in (slow, fast):
-        each.add(case.samples)
-    kept = [len(each.snapshot().visited.kept) for each in (slow, fast)]
-    assert kept == [300 // 19 - 1, 300 // 2 - 2]
 
 
 def test_a_snapshot_and_one_that_goes_on_have_their_own() -> None:
@@ -137,7 +114,7 @@ def test_a_snapshot_and_one_that_goes_on_have_their_own() -> None:
     np.testing.assert_array_equal(later.snapshot().visited.kept, found.snapshot().visited.kept)
 
 
-@pytest.mark.parametrize("shape", [(5, 2, 9), (5, 3, 8), (5, 3, 0), (5,)])
+@pytest.mark.parametrize("shape", [(5, 3, 8), (5,)])
 def test_states_of_another_robot_are_refused(shape: tuple[int, ...]) -> None:
     case = arm("arm3", seed=3, seconds=1.0)
     found = Identifier(case.model)
@@ -158,10 +135,6 @@ def repeated(times: int, seconds: float, forgetting_time: float = np.inf) -> Pro
     return Problem(case.model, summary, None, weighed_rows(case.model, ()), unknown, None, 1.0)
 
 
-def test_rows_of_states_that_differ_count() -> None:
-    assert repeated(1, seconds=3.0).distinct == pytest.approx(1.0, abs=0.01)
-
-
 def test_repeats_count_the_less_the_more_of_their_states_parameters_follow() -> None:
     """From what one passage says to nearly all that all say together; the noise is small, so all rows are followed."""
     shares = [repeated(20, seconds).distinct for seconds in (0.03, 0.1, 1.0, 5.0)]
@@ -169,24 +142,12 @@ def test_repeats_count_the_less_the_more_of_their_states_parameters_follow() -> 
     assert once < 0.1
     assert once <= shares[0] < 0.3
     assert shares == sorted(shares)
+    assert repeated(1, seconds=3.0).distinct == pytest.approx(1.0, abs=0.01)
     assert shares[-1] > 0.85
 
 
 def test_repeats_of_what_is_forgotten_do_not_count() -> None:
     assert repeated(20, seconds=0.03, forgetting_time=0.03).distinct == 1.0
-
-
-def test_no_fewer_rows_count_than_those_in_different_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the number of parameters that follow them; nor ever more, the more parameters there are."""
-    problem = repeated(20, 0.1)
-    states, rows = problem.summary.visited.distinct, float(np.sum(problem.counts))
-    shares = []
-    for followed in states * rows * np.linspace(0.0, 1.2, 25):
-        monkeypatch.setattr(Problem, "_followed", followed)
-        shares.append(problem.distinct)
-    assert shares[0] == 1.0
-    assert shares == sorted(shares, reverse=True)
-    assert min(shares) == states
 
 
 def test_as_many_fewer_rows_as_count_are_as_much_less_sure(monkeypatch: pytest.MonkeyPatch) -> None:
