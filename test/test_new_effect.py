@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from commands.running import NO_CHOICE, refused
+from commands.running import NO_CHOICE
 from files.recordings import BAGS, QUICK, Recorded, recorded, write_bag
 
 from geomid_ros.simulation.description import WRIST_FRAME
@@ -283,12 +283,6 @@ def with_wrench(wrench: Any, added: FloatArray) -> Any:
     return type(wrench)(**sums)
 
 
-def test_without_the_file_it_is_unknown(found: Round) -> None:
-    name = found.kind.name
-    message = refused("identify", found.folder / "bag", "--urdf", URDF, "--out", found.folder / "no", "--effects", name)
-    assert f"unknown effect '{name}'" in message
-
-
 def test_it_is_identified(found: Round) -> None:
     """At each of its places, and at one of them it is there."""
     estimated = found.estimated("identify")
@@ -299,36 +293,21 @@ def test_it_is_identified(found: Round) -> None:
 
 
 def test_it_is_named(found: Round) -> None:
-    document = found.document("gap", "gap.json")
+    """With its place and its parameters, in all files; MJCF cannot say it, the sidecar does."""
+    document, sidecar = found.document("gap", "gap.json"), (found.folder / "gap/effects.yaml").read_text()
     assert document["verdict"] == "named"
-    (finding,) = document["findings"]
+    (finding,), (entry,) = document["findings"], yaml.safe_load(sidecar)["effects"]
     place = finding["effect"], finding["joint"], finding["confidence"]
     assert place == (found.kind.name, found.kind.place, "confident")
     assert finding["sentence"].startswith(found.kind.label)
-    found.assert_true(finding["parameters"])
-
-
-def test_it_is_simulated_again(found: Round) -> None:
-    """MJCF cannot say it, the sidecar does."""
-    resimulated = found.document("gap", "gap.json")["resimulated"]
-    worst = {when: max(resimulated[when].values()) for when in ("before", "after")}
+    assert f"#   {found.kind.name}: " in sidecar
+    assert (entry["effect"], entry.get("joint", "")) == (found.kind.name, found.kind.place)
+    assert entry["urdf"] == entry["mjcf"] == []
+    for parameters in (finding["parameters"], entry["parameters"], found.estimated("gap")[found.kind.place]):
+        found.assert_true(parameters)
+    worst = {when: max(document["resimulated"][when].values()) for when in ("before", "after")}
     assert worst["before"] > 5.0 * worst["after"]
     assert worst["after"] < 1.6
-
-
-def test_files_tell_it(found: Round) -> None:
-    assert found.printed
-    sidecar = (found.folder / "gap/effects.yaml").read_text()
-    assert f"#   {found.kind.name}: " in sidecar
-    (entry,) = yaml.safe_load(sidecar)["effects"]
-    assert (entry["effect"], entry.get("joint", ""), entry["urdf"], entry["mjcf"]) == (
-        found.kind.name,
-        found.kind.place,
-        [],
-        [],
-    )
-    found.assert_true(entry["parameters"])
-    found.assert_true(found.estimated("gap")[found.kind.place])
 
 
 def test_a_later_run_starts_from_it(found: Round) -> None:

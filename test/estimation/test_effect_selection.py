@@ -286,18 +286,6 @@ def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_
     np.testing.assert_allclose(fitted.scales, expected, rtol=0.02)
 
 
-def test_what_remembers_is_judged_at_rest_too_and_nothing_else() -> None:
-    """The rows at rest and near reversals are the last group of each channel."""
-    case = planted("arm3", 1)
-    own = problem(case)
-    moving, every = CoefficientRows(own), CoefficientRows(own, at_rest=True)
-    names = {rows: {rows.coefficient(column).effect.name for column in rows.optional} for rows in (moving, every)}
-    assert names[every] == {"presliding"} < names[moving]
-    assert len(every.counts) == len(moving.counts) + len(case.model.channels)
-    assert len(every.products) == len(every.counts)
-    np.testing.assert_array_equal(every.counts[: len(moving.counts)], moving.counts)
-
-
 def test_what_a_column_promises_is_what_a_fit_with_it_finds() -> None:
     """To first order, its gain in likelihood."""
     case, effect = planted("arm3", 1), "saturating_friction"

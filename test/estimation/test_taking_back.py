@@ -17,7 +17,6 @@ from .test_identifier import content
 BAD = (1,)  # a channel
 BEGIN, END = 130, 260
 COUNT = 400
-SETTINGS = pytest.mark.parametrize("forgetting_time", [np.inf, 1.5])
 
 
 @cache
@@ -62,8 +61,7 @@ def assert_same(found: Identifier, expected: Identifier) -> None:
     np.testing.assert_allclose(found.solve().parameters, expected.solve().parameters, rtol=1e-9, atol=1e-12)
 
 
-@SETTINGS
-@pytest.mark.parametrize("said_at", [BEGIN, COUNT])
+@pytest.mark.parametrize(("forgetting_time", "said_at"), [(np.inf, COUNT), (1.5, BEGIN), (1.5, COUNT)])
 def test_what_is_left_out_has_never_been(forgetting_time: float, said_at: int) -> None:
     """Whenever it is said, and whatever was solved for, or written down, before."""
     of, asked = case(), []
@@ -83,10 +81,9 @@ def test_what_is_left_out_has_never_been(forgetting_time: float, said_at: int) -
     assert max(np.diff(asked)) > 0
 
 
-@SETTINGS
-def test_what_is_taken_again_is_there_as_if_nothing_had_been(forgetting_time: float) -> None:
+def test_what_is_taken_again_is_there_as_if_nothing_had_been() -> None:
     """From some instant on, or all of it."""
-    of = case()
+    of, forgetting_time = case(), 1.5
     for end, expected in ((END, without(of, BEGIN, END)), (0, of)):
         identifier = add(begun(of, forgetting_time, COUNT), of.samples)
         assert identifier.leave_out("bad", BAD, BEGIN)
@@ -154,26 +151,6 @@ def test_a_reset_forgets_what_is_left_out() -> None:
     identifier.reset()
     assert identifier.counts.made == identifier.rows == 0
     assert_same(add(identifier, of.samples), add(begun(of, np.inf, 0), of.samples))
-
-
-def test_least_squares_on_the_rows_that_are_left() -> None:
-    """By another way: the minimum of the sum of squares of the dense rows themselves."""
-    of = case()
-    identifier = add(begun(of, np.inf, COUNT), of.samples)
-    identifier.leave_out("bad", BAD, BEGIN)
-    identifier.restore_rows("bad", END)
-    rows = of.model.rows(of.samples)
-    targets = rows.targets.copy()
-    targets[BEGIN:END, BAD] = np.nan
-    used = np.isfinite(targets)
-    matrix, right = rows.coefficients[used], targets[used]
-    a, b = identifier.snapshot().compressed(np.ones(3), of.model.dimension)
-    np.testing.assert_allclose(a.T @ a, matrix.T @ matrix, atol=1e-9 * np.linalg.norm(matrix) ** 2)
-    residual = right - matrix @ np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
-    ours = right - matrix @ np.linalg.lstsq(a, b, rcond=1e-9)[0]
-    assert np.linalg.norm(ours) == pytest.approx(np.linalg.norm(residual), rel=1e-9)
-    everything = rows.coefficients[np.isfinite(rows.targets)]
-    assert np.linalg.norm(everything.T @ everything - a.T @ a) > 1e-3 * np.linalg.norm(matrix) ** 2
 
 
 def restored(identifier: Identifier, of: Case, hold: int) -> Identifier:
