@@ -54,39 +54,31 @@ def put(instants: slice, value: float) -> Callable[[Case], Case]:
     return measuring(change)
 
 
-def motionless(noise: float) -> Callable[[Case], Case]:
+def nearly_motionless(case: Case) -> Case:
     """Nothing moves, but for a speed just above what counts as still."""
-
-    def change(case: Case) -> Case:
-        rng = np.random.default_rng(0)
-        shape = case.samples.position.shape
-        held = np.broadcast_to(case.samples.position[:1], shape)
-        speeds = 2e-3 + noise * rng.random(shape)
-        samples = replace(case.samples, position=held, velocity=speeds, acceleration=noise * rng.normal(size=shape))
-        return replace(case, samples=samples)
-
-    return change
+    rng, shape = np.random.default_rng(0), case.samples.position.shape
+    held = np.broadcast_to(case.samples.position[:1], shape)
+    speeds = 2e-3 + 1e-3 * rng.random(shape)
+    samples = replace(case.samples, position=held, velocity=speeds, acceleration=1e-3 * rng.normal(size=shape))
+    return replace(case, samples=samples)
 
 
 TROUBLES = {
     "one sample": only(slice(0, 1)),
     "fewer rows than parameters": only(slice(0, 8)),
     "zero efforts": measuring(np.zeros_like),
-    "tiny efforts": measuring(lambda effort: 1e-200 * effort),
     "constant efforts": measuring(lambda effort: np.full_like(effort, 3.0)),
     "reversed efforts": measuring(np.negative),
     "efforts of another robot": measuring(lambda effort: 1e3 * effort[::-1]),
     "outliers in one fold": put(slice(100, 110), 1e6),
-    "outliers all over": put(slice(None, None, 97), 1e6),
     "absurd outliers": put(slice(50, 52), 1e12),
     "one sample, many times": only(np.zeros(300, dtype=np.int64)),
     "every sample twice": only(np.repeat(np.arange(300), 2)),
-    "motionless": motionless(0.0),
-    "nearly motionless": motionless(1e-3),
+    "nearly motionless": nearly_motionless,
 }
 
 
-HARD = ("fewer rows than parameters", "reversed efforts", "absurd outliers", "nearly motionless")
+HARD = ("fewer rows than parameters", "absurd outliers")
 
 
 @pytest.mark.parametrize(

@@ -57,12 +57,9 @@ def test_what_a_file_lacks_is_made_up_for_by_the_rest(seed: int) -> None:
 
 
 def test_links_change_only_for_a_better_prediction() -> None:
-    """What noise hides is no reason: with it the links of some robots are the estimate's."""
-    held = []
-    for seed in range(5):
-        found = solved(arm("arm3", seed, seconds=4.0, noise=10.0), files=URDF)
-        held.append(np.allclose(found.within["urdf"][:30], found.parameters[:30], rtol=1e-6))
-    assert any(held)
+    """What noise hides is no reason: with it the links of this robot are the estimate's."""
+    found = solved(arm("arm3", 2, seconds=4.0, noise=10.0), files=URDF)
+    np.testing.assert_allclose(found.within["urdf"][:30], found.parameters[:30], rtol=1e-6)
 
 
 def test_the_fit_that_predicts_unseen_time_wins() -> None:

@@ -186,13 +186,9 @@ def test_of_two_minima_the_more_likely_is_taken(monkeypatch: pytest.MonkeyPatch)
         return fits[-1][0]
 
     monkeypatch.setattr(estimator, "fit", recorded)
-    for seed in (8, 9, 11):  # not every noise leaves an effect unsure
-        fits.clear()
-        noise = 0.1 * np.random.default_rng(seed).normal(size=clean.shape)
-        result = solved(replace(case, model=model, samples=replace(first, effort=clean + noise)))
-        pairs = [*zip(fits[::2], fits[1::2], strict=True)]
-        if len(pairs) > 1:
-            break
+    noise = 0.1 * np.random.default_rng(8).normal(size=clean.shape)
+    result = solved(replace(case, model=model, samples=replace(first, effort=clean + noise)))
+    pairs = [*zip(fits[::2], fits[1::2], strict=True)]
     assert len(pairs) > 1, "something was unsure"
     ended = pairs[0][1][1][1]
     for (_, of_prior), (_, (_, spreads)) in pairs:
