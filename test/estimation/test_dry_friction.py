@@ -1,25 +1,17 @@
-"""Dry friction drives no joint, whatever the rows say; and which optional effects are taken back after a fit."""
+"""Dry friction drives no joint, whatever the rows say; and how sure friction is."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
-from geomid_ros.estimation.estimator import _significant, _Solved
-from geomid_ros.gap.candidates import EffectTerm, passivity_constraints
-from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.effects import AtJoint
-from geomid_ros.model.effects.drive import Spring
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
 from geomid_ros.model.effects.friction import CoulombFriction, SaturatingFriction, StribeckFriction, ViscousFriction
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.types import IntArray
 
 from .arms import Case, Truth, arm, efforts, solved
 
@@ -77,19 +69,6 @@ def test_friction_that_sticks_is_found_between_the_speeds_that_are_tried(
     assert excess.std**2 < (StribeckFriction.drift**2 + 0.1**2) * excess.value**2
 
 
-def test_rows_are_of_driven_places_alone() -> None:
-    first, second = AtJoint(0), AtJoint(1)
-    dry, stuck = CoulombFriction(), StribeckFriction()
-    places = [(dry, first), (ViscousFriction(), first), (dry, second), (stuck, first), (stuck, second)]
-    terms = [EffectTerm(*place) for place in places]
-    assert passivity_constraints(terms, np.array([1.0, -5.0, 1.0, -0.9, -0.9])).shape == (0, 5)
-    (row,) = passivity_constraints(terms, np.array([1.0, -5.0, 1.0, -0.9, -2.0]))
-    np.testing.assert_allclose(row, [0.0, 0.0, 5e4, 0.0, 5e4])
-    assert passivity_constraints(terms, np.array([-1.0, -5.0, 1.0, 0.0, -0.9])).shape == (0, 5)  # one is left out
-    alone = [EffectTerm(dry, first), EffectTerm(Spring(), first)]
-    assert passivity_constraints(alone, np.array([-1.0, -1.0])).shape == (0, 2)
-
-
 @pytest.mark.parametrize(
     ("level", "smoothing", "excess", "speed", "made_up", "falls"),
     [
@@ -108,28 +87,6 @@ def test_stribeck_friction_is_friction_that_falls(
     own = StribeckFriction(speed)
     dry = {CoulombFriction(smoothing): level, own: excess, SaturatingFriction(0.15): made_up}
     assert own.is_supported({**dry, ViscousFriction(): 9.0}) == falls
-
-
-# --- What may as well be nothing ---
-
-
-@pytest.mark.parametrize(("sizes", "gone"), [((0.9, 0.5, 0.7), [11]), ((1.94, 5.0), [10]), ((1.98, 3.0), [])])
-def test_the_least_one_goes_alone(sizes: tuple[float, ...], gone: list[int]) -> None:
-    """Two that share what they explain are both unsure beside each other, and one of them is not by itself."""
-    mechanisms = [("effect", place) for place in range(len(sizes))]
-
-    def solve(columns: IntArray) -> Any:
-        """The effects are so many of their deviations; all are sure when one is gone."""
-        left = [(mechanisms[k - 10], sizes[k - 10] if len(columns) == 10 + len(sizes) else 9.0) for k in columns[10:]]
-        coefficients = [SimpleNamespace(mechanism=each, place=each[1], effect=CoulombFriction()) for each, _ in left]
-        model = SimpleNamespace(coefficients=coefficients)
-        problem = SimpleNamespace(model=model, manifold=ParameterManifold(1, 0, np.ones(len(left))))
-        effects = [SimpleNamespace(value=-size, std=1.0) for _, size in left]
-        return _Solved(columns, SimpleNamespace(fitted=SimpleNamespace(problem=problem), effects=effects))
-
-    whole = np.arange(10 + len(sizes))
-    assert np.setdiff1d(whole, _significant(solve, whole, mechanisms).columns).tolist() == gone
-    np.testing.assert_array_equal(_significant(solve, whole, ()).columns, whole)
 
 
 def test_friction_that_noise_hides_is_not_known_to_be_nothing() -> None:

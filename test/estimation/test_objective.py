@@ -162,23 +162,6 @@ def test_the_hessian_is_the_second_derivative_along_steps(manifold: ParameterMan
         assert direction @ at_rest.hessian @ direction == pytest.approx(numerical, abs=1e-5 * objective.scale)
 
 
-def test_rows_without_a_root_are_set_aside_and_count_nothing() -> None:
-    case = problem(3, LINKS, count=30)
-    impossible = np.array([True] * 5 + [False] * 25)
-    mass = np.eye(20)[0]
-    rows, targets = case.rows.copy(), case.targets.copy()
-    rows[:5], targets[:5] = mass, -np.arange(1.0, 6.0)  # a negative mass
-    mixed = Problem(LINKS, case.prior, case.truth, rows, targets, case.sigmas)
-    rest = Problem(LINKS, case.prior, case.truth, rows[5:], targets[5:], case.sigmas[5:])
-    objective = mixed.geodesic(GAMMA)
-    np.testing.assert_array_equal(objective.set_aside[:5], impossible[:5])
-    assert not np.any(objective.set_aside[5:])
-    assert not np.any(objective.weights[:5])
-    one, other = objective.evaluate(case.truth), rest.geodesic(GAMMA).evaluate(case.truth)
-    assert one.value == pytest.approx(other.value, rel=ROUNDING)
-    np.testing.assert_allclose(one.hessian, other.hessian, rtol=0, atol=ROUNDING * objective.scale)
-
-
 def test_products_of_rows_of_few_links_are_those_of_all_columns() -> None:
     """Also their weights (Remark 2) follow from the products."""
     given = problem(3, ParameterManifold(4, 2, np.array([0.1, 20.0])), count=40)

@@ -82,18 +82,6 @@ def test_sigmas_have_a_floor_and_wait_for_enough_rows() -> None:
     np.testing.assert_array_equal(first_sigmas(summary(few), case.model.dimension), expected)
 
 
-def test_sizes_of_channels_that_say_nothing_are_one() -> None:
-    case = arm("arm3", 0, seconds=2)
-    quiet = case.samples.effort.copy()
-    quiet[:, 0], quiet[:, 1] = np.nan, 0.0
-    found = summary(case.with_efforts(quiet))
-    sizes = channel_sizes(found, case.model.dimension)
-    np.testing.assert_array_equal(sizes[:2], 1.0)
-    scales = scales_of_coefficients(case.model, found)
-    np.testing.assert_allclose(scales[case.model.positives :][1:], sizes[1:], rtol=1e-12)
-    np.testing.assert_allclose(scales[[0, 3, 6, 9]], scales[0])  # of nothing that was measured all are as uncertain
-
-
 def test_a_given_prior_says_how_large_an_offset_is() -> None:
     case = arm("arm3", 0, seconds=2)
     given = np.full(case.model.dimension, np.nan)

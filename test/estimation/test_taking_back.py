@@ -144,15 +144,6 @@ def test_what_is_left_out_stays_so_though_nothing_is_held(hold: int) -> None:
     assert_same(identifier, add(begun(of, np.inf, 0), without(of, 100, 300).samples))
 
 
-def test_a_reset_forgets_what_is_left_out() -> None:
-    of = case()
-    identifier = add(begun(of, np.inf, COUNT), of.samples)
-    identifier.leave_out("bad", BAD, BEGIN)
-    identifier.reset()
-    assert identifier.counts.made == identifier.rows == 0
-    assert_same(add(identifier, of.samples), add(begun(of, np.inf, 0), of.samples))
-
-
 def restored(identifier: Identifier, of: Case, hold: int) -> Identifier:
     result = begun(of, np.inf, hold)
     result.restore(identifier.memory())

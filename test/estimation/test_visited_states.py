@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation import uncertainty
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.visited_states import Visits
@@ -53,27 +51,6 @@ def test_cycles_are_found_whatever_share_of_the_states_is_kept(period: float) ->
 
 def test_a_motion_that_does_not_come_back_has_as_many_states_as_instants() -> None:
     assert visited(wandering(1000)).distinct == pytest.approx(1.0, abs=0.02)
-
-
-def test_a_robot_that_stands_is_in_few_states() -> None:
-    states = np.random.default_rng(0).normal(size=(1000, 6))
-    assert visited(states).distinct < 0.1
-
-
-def test_only_states_that_are_so_far_apart_in_time_count() -> None:
-    states = wandering(1000)
-    alone, every = visited(states[::5]), visited(states, 5 * PERIOD)
-    np.testing.assert_allclose(every.kept[:, 0], alone.kept[:, 0])
-
-
-def test_no_more_than_some_are_kept_and_they_tell_the_same() -> None:
-    rng = np.random.default_rng(0)
-    phase = 2.0 * np.pi * (np.arange(6000)[:, None] / 41.3)
-    states = np.sin(phase + np.arange(4.0)) + 1e-3 * rng.normal(size=(6000, 4))
-    found = visited(states)
-    assert len(found.kept) <= 1024
-    assert found.every > 1
-    assert found.distinct == pytest.approx(visited(states[:900]).distinct * 900 / 6000, rel=0.5)
 
 
 @pytest.mark.parametrize("count", [300, 5000])
@@ -148,21 +125,3 @@ def test_repeats_count_the_less_the_more_of_their_states_parameters_follow() -> 
 
 def test_repeats_of_what_is_forgotten_do_not_count() -> None:
     assert repeated(20, seconds=0.03, forgetting_time=0.03).distinct == 1.0
-
-
-def test_as_many_fewer_rows_as_count_are_as_much_less_sure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the deviations are made larger by, at least, is what the weight of the rows is made smaller by."""
-    least, exact = [], uncertainty.estimate_uncertainty
-
-    def seen(*arguments: Any, **options: Any) -> Any:
-        least.append(options["least_inflation"])
-        return exact(*arguments, **options)
-
-    monkeypatch.setattr(uncertainty, "estimate_uncertainty", seen)
-    case = arm("arm3", seed=3, seconds=0.03)
-    for times in (1, 40):
-        found = Identifier(case.model)
-        for _ in range(times):
-            found.add(case.samples)
-        found.solve()
-    assert least[-1] > 5.0 * least[0]

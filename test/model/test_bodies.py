@@ -164,21 +164,6 @@ def test_joints() -> None:
 
 
 @ROBOTS
-def test_bodies_that_a_link_carries(name: str, floating: bool) -> None:
-    robot = Robot(urdf(name), floating_base=floating)
-    parents = {joint.child: joint.parent for joint in robot.tree.joints}
-    for link in robot.tree.links:
-        carried = set()
-        for index, body in enumerate(robot.bodies):
-            upwards = body.name
-            while upwards != link and upwards in parents:
-                upwards = parents[upwards]
-            if upwards == link:
-                carried.add(index)
-        assert set(robot.subtree(link)) == carried
-
-
-@ROBOTS
 def test_joints_of_one_chain_carry_each_other(name: str, floating: bool) -> None:
     """As the URDF's tree has it."""
     robot = Robot(urdf(name), floating_base=floating)

@@ -11,7 +11,6 @@ from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.weighed_masses import WeighedMass, weighed_rows
-from geomid_ros.types import FloatArray
 
 INERTIA = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
 MASSES = {"base": 7.0, "upper": 3.0, "cover": 0.5, "fore": 2.0, "plate": 0.0, "tool": 0.25, "frame": 0.0}
@@ -93,14 +92,6 @@ def test_of_a_floating_robot_everything_is_unknown() -> None:
     assert from_plate.body_names == ("base", "upper", "fore")
     np.testing.assert_array_equal(known.rows[0, ::10], 1.0)
     np.testing.assert_array_equal(known.targets, [12.0])
-
-
-def test_rows_hold_at_the_truth() -> None:
-    own = model()
-    truth: FloatArray = np.append(own.nominal_inertias, np.zeros(len(own.coefficients)))
-    total = sum(MASSES.values())
-    known = weighed_rows(own, [WeighedMass.parse(f"total={total}:0.01"), WeighedMass.parse("upper=3.5:0.3")])
-    np.testing.assert_allclose(known.rows @ truth, known.targets, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
