@@ -33,8 +33,6 @@ CASES: dict[str, tuple[Callable[[], object], str, list[str]]] = {
     "effect": (lambda: identified_effect("viscous_fricton"), "viscous_friction", list(identifiable())),
     "role": (lambda: WrenchSensor("/w", "tool0", "mountd"), "mounted", list(ROLES)),
     "axis": (lambda: WrenchSensor("/w", "tool0", "mounted", ("fx", "mz", "tzz")), "", list(AXES)),
-    "role in text": (lambda: WrenchSensor.parse("/w:tool0:exernal"), "external", list(ROLES)),
-    "axis in text": (lambda: WrenchSensor.parse("/w:tool0:mounted:fx,ffz"), "fz", list(AXES)),
     "locked joint": (lambda: Robot(urdf("ur5_robot.urdf"), locked_joints=["elbow"]), "elbow_joint", UR5_JOINTS),
     "cut": (lambda: Robot(urdf("ur5_robot.urdf"), cuts=["tool"]), "tool0", ["base_link", "forearm_link"]),
     "link": (lambda: MeasurementModel(ur5(), [], links=["forarm_link"]), "forearm_link", ["wrist_3_link"]),
