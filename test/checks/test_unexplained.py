@@ -44,33 +44,23 @@ def places(found: list[Cause]) -> tuple[str, ...]:
     return tuple(place for cause in found for place in cause.places)
 
 
-def test_what_is_left_of_little_is_not_told() -> None:
+def test_what_is_left_of_little_or_not_judged_is_not_told_and_the_worst_comes_first() -> None:
     """A wrist whose effort is all noise, beside a shoulder of a hundred times as much."""
     assert places(told(residuals((0.1, 0.1, 1.0)))) == ()
     assert places(told(residuals((0.1, 0.1, 1.0)), units=("N m", "N m", "N"))) == ("wrist",)
-
-
-def test_the_worst_comes_first() -> None:
     assert places(told(residuals((0.6, 0.9, 0.1)))) == ("elbow", "shoulder")
     assert places(told(residuals((MOST - 0.02, MOST + 0.02, 0.1)))) == ("elbow",)
-
-
-def test_what_is_not_judged_counts_for_nothing() -> None:
+    (cause,) = told(residuals((0.1, 0.8, 0.1)))
+    assert cause.sentence == "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); look at elbow, 0.80"
     left = residuals((0.9, 0.9, 0.1))
     left[:, 1] = np.nan
     left[20:, 0] = np.nan
     assert places(told(left)) == ()
 
 
-def test_the_sentence_says_how_much_is_left_and_where_to_look() -> None:
-    (cause,) = told(residuals((0.1, 0.8, 0.1)))
-    assert cause.sentence == "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); look at elbow, 0.80"
-
-
-@pytest.mark.parametrize("name", ["arm3", "arm7"])
-def test_what_is_planted_beside_links_and_friction_is_the_hint(name: str) -> None:
+def test_what_is_planted_beside_links_and_friction_is_the_hint() -> None:
     """A coupling with another joint, a spring, and friction that drives; noise is nothing of these."""
-    of = case(name, 1)
+    of = case("arm7", 1)
     names, own = of.model.robot.joint_names, of.samples
     size = 3.0 * np.std(own.effort[:, 1])
     hidden = {
@@ -88,10 +78,9 @@ def test_what_is_planted_beside_links_and_friction_is_the_hint(name: str) -> Non
         assert said in hint(subject, names[1], float(subject.nominal.sigmas[1]))
 
 
-@pytest.mark.parametrize("name", ["arm3", "arm7"])
-def test_what_a_model_without_friction_leaves_is_the_friction_s(name: str) -> None:
+def test_what_a_model_without_friction_leaves_is_the_friction_s() -> None:
     """Not what one leaves that has it, nor what is left of a coupling."""
-    of = case(name, 1)
+    of = case("arm3", 1)
     samples = of.samples.select(slice(None, None, len(of.samples) // INSTANTS + 1))
     subject = EffortData.of_all(of.model.robot, samples)
     spread, joint = 3.0 * subject.measured_std[1], subject.names[1]
@@ -102,7 +91,7 @@ def test_what_a_model_without_friction_leaves_is_the_friction_s(name: str) -> No
         assert ("friction (--effects)" in hint(of_efforts, joint, share)) == said
 
 
-@pytest.mark.parametrize(("joint", "other", "share"), [(1, 0, -1.0), (1, 2, 1.0), (2, 1, -1.0)])
+@pytest.mark.parametrize(("joint", "other", "share"), [(1, 0, -1.0), (2, 1, -1.0)])
 def test_a_coupling_is_named_or_not_explained(joint: int, other: int, share: float) -> None:
     of = case("arm3", 1)
     effort = of.samples.effort.copy()
@@ -113,20 +102,11 @@ def test_a_coupling_is_named_or_not_explained(joint: int, other: int, share: flo
 
 
 BEFORE = [
-    ("arm7", "position frozen", (0, 0.15), "the position of joint 'joint1' is frozen"),
     ("ur10", "position frozen", (0, 0.15), "the position of joint 'shoulder_pan_joint' is frozen"),
-    ("arm7", "parallel drive", 2, "the motor of joint 'joint3' seems to drive 'joint4', too: plus"),
-    ("ur10", "parallel drive", 1, "the motor of joint 'shoulder_lift_joint' seems to drive 'elbow_joint', too: plus"),
     ("ur10", "parallel drive", 4, "the motor of joint 'wrist_2_joint' seems to drive 'wrist_3_joint', too: plus"),
     ("ur10", "two exchanged", (1, 2), "the efforts of joints 'shoulder_lift_joint' and 'elbow_joint' are swapped"),
-    ("arm7", "position turned round", 2, "joint 'joint3' seems to turn opposite"),
-    ("med7", "position turned round", 1, "joint 'A2' seems to turn opposite"),
     ("lwr4", "position turned round", 3, "joint 'lwr_3_joint' seems to turn opposite"),
     ("med7", "unit in mid-run", 0.07, "the efforts of all joints have 0.0"),
-]
-AFTER = [
-    ("arm7", "axis of the URDF", 1, "is not explained"),
-    ("airbot", "axis of the URDF", 1, "'joint2' is not explained"),
 ]
 
 
@@ -159,16 +139,13 @@ def test_faults_are_told_before_anything_is_solved(
     assert said in judged(*planted(source, fault, size, tmp_path)).review.findings[0].sentence
 
 
-@pytest.mark.parametrize(("source", "fault", "size", "said"), AFTER)
-def test_what_no_links_explain_is_told_in_the_end(
-    source: str, fault: str, size: int, said: str, tmp_path: Path
-) -> None:
-    verdict = identified(*planted(source, fault, size, tmp_path)).verdict
+def test_what_no_links_explain_is_told_in_the_end(tmp_path: Path) -> None:
+    verdict = identified(*planted("airbot", "axis of the URDF", 1, tmp_path)).verdict
     assert verdict.status == 4
-    assert said in verdict.reasons[0]
+    assert "'joint2' is not explained" in verdict.reasons[0]
 
 
-@pytest.mark.parametrize(("fault", "size"), [("positions leap", 0.5), ("two robots", 0), ("two robots", 1)])
+@pytest.mark.parametrize(("fault", "size"), [("positions leap", 0.5), ("two robots", 1)])
 def test_where_positions_leap_nothing_is_said_to_begin(fault: str, size: Any, tmp_path: Path) -> None:
     """Another recording does, perhaps of another robot: no unit changes, and nothing is picked up."""
     (finding,) = judged(*planted("arm7", fault, size, tmp_path)).review.findings
@@ -185,13 +162,10 @@ def test_leaps_are_no_motion(tmp_path: Path) -> None:
 def test_what_was_fitted_is_judged_too() -> None:
     """A part in which a joint is not explained, though what was held out is."""
     found = whole()
+    assert found.verdict.status == 0
     model, sound = found.session.model, found.session.review.check.recorded
     assert sound is not None
     effort = sound.effort.copy()
     effort[: len(effort) // 2, 1] += 3.0 * np.std(effort[:, 1]) * np.sign(np.sin(np.arange(len(effort) // 2)))
     for recorded, expected in ((sound, ()), (replace(sound, effort=effort), ("joint2",))):
         assert places(unexplained(model, found.held_out, found.estimate.predictor, recorded)) == expected
-
-
-def test_the_shipped_recording_is_explained() -> None:
-    assert whole().verdict.status == 0

@@ -117,16 +117,6 @@ def test_a_channel_that_is_rarely_measured_is_judged_where_it_is() -> None:
     assert worse_channels(case.model, [never], wrong) == []
 
 
-def test_what_is_within_the_scatter_of_blocks_is_not_told() -> None:
-    """One bad second of twenty says nothing: in the others nothing accelerates."""
-    case, estimate = solved()
-    held_out = case.fresh(9).samples
-    acceleration = np.zeros_like(held_out.acceleration)
-    acceleration[500:600] = held_out.acceleration[500:600]
-    wrong = estimate.predictor._replace(parameters=with_rotor(estimate.parameters))
-    assert worse_channels(case.model, [replace(held_out, acceleration=acceleration)], wrong) == []
-
-
 def test_what_goes_on_otherwise_is_told() -> None:
     """Twice as bad is another motion; ten times is named, with the channel alone."""
     _, estimate = solved()

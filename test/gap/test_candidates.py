@@ -10,13 +10,10 @@ from model.robots import urdf
 from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate, EffectTerm
-from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import (
     DEFAULT_EFFECTS,
     EFFECTS,
     AtJoint,
-    JointMotion,
-    MotionEffect,
     OnLink,
     OnRobot,
     SituationEffect,
@@ -27,7 +24,6 @@ from geomid_ros.model.effects.friction import DISTANCES, SETTING_IN, SMOOTHINGS,
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import Contact
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.session.gap import find_gap_in_samples
 
 from . import planted
@@ -67,15 +63,6 @@ def test_others_are_possible_at_the_robot_and_at_every_link() -> None:
     ]
     assert [len(candidate.terms) for candidate in named("payload")] == [0, 0, 0]
     assert not named("wrench_offset"), "there is no sensor"
-
-
-def test_a_sensor_has_a_coefficient_for_each_axis_that_it_measures() -> None:
-    urdf = (planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")
-    robot = Robot(urdf)
-    model = MeasurementModel(robot, (), (WrenchSensor("/wrench", "link3", "mounted", ("fx", "tz")),))
-    *_, offset = library.candidates(model)
-    assert offset.name == "wrench_offset"
-    assert [term.index for term in offset.terms] == [0, 1]
 
 
 def test_what_the_model_has_may_have_changed_with_the_constants_and_signs_that_it_has() -> None:
@@ -120,26 +107,6 @@ def one(name: str, joint: int | None = None) -> Candidate:
 def test_what_makes_no_sense_together_excludes_each_other(first: Candidate, second: Candidate, expected: bool) -> None:
     assert first.excludes(second) == expected
     assert second.excludes(first) == expected
-
-
-def test_samples_carry_all_columns_that_names_are_made_of_once() -> None:
-    columns = library.library_columns(MODEL)
-    assert len(set(columns)) == len(columns)
-    motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0)
-    for candidate in ALL:
-        for term in candidate.terms:
-            if isinstance(term.effect, MotionEffect):
-                assert library.column_of(term.effect, term.place) in columns
-    assert {SIGN, SMOOTH_SIGN, REST} <= set(columns)
-    assert motion.entries.columns == columns
-
-
-def test_a_joint_stands_still_below_a_hundredth_of_a_radian_per_second() -> None:
-    speed = np.array([0.0, 0.009, -0.009, 0.011, -0.011, 1.0])
-    motion = JointMotion(np.array([0.0 * speed, speed, 0.0 * speed]))
-    np.testing.assert_array_equal(REST.function.column(motion), [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    direction = SIGN.function.column(motion)
-    np.testing.assert_array_less(np.abs(SMOOTH_SIGN.function.column(motion)[1:5]), np.abs(direction[1:5]))
 
 
 def test_on_legs_no_name_depends_on_loads_but_friction() -> None:

@@ -8,7 +8,7 @@ from geomid_ros.gap.linearised_problem import LinearisedProblem
 from geomid_ros.gap.records import Records
 from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.effects import AtJoint
-from geomid_ros.model.effects.drive import JointElasticity
+from geomid_ros.model.effects.drive import CROSSINGS, JointElasticity, sides
 from geomid_ros.model.effects.friction import LoadFriction
 from geomid_ros.model.effects.mounting import GravityTilt
 from geomid_ros.model.effects.sensor_errors import EffortGain, EncoderOffset
@@ -78,3 +78,19 @@ def test_gain_and_load_friction(problem: LinearisedProblem) -> None:
     fast = np.abs(problem.records.samples.velocity[:, JOINT]) > 0.05
     expected = np.abs(true) * np.sign(problem.records.samples.velocity[:, JOINT])
     agree(friction[fast, JOINT], expected[fast], 0.05)
+
+
+def square(period: float, seconds: float, size: float) -> np.ndarray:
+    """A load of one size that changes its direction every second, ``(N, 1)``."""
+    times = np.arange(round(seconds / period)) * period
+    return size * np.where(np.floor(times) % 2 == 0, 1.0, -1.0)[:, None]
+
+
+@pytest.mark.parametrize("size", [0.1, 30.0])
+def test_the_usual_load_crosses_in_the_time_of_its_name(size: float) -> None:
+    period = 1e-3
+    side = sides(square(period, 4.0, size), period)[:, 0]
+    for place, crossing in enumerate(CROSSINGS):
+        changing = np.abs(side[:, place]) < 1.0 - 1e-9
+        crossings = 3  # at 1, 2 and 3 s
+        assert np.count_nonzero(changing) * period / crossings == pytest.approx(crossing, abs=1.1 * period)

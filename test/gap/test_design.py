@@ -1,6 +1,5 @@
 """Products of whitened columns, against the columns themselves."""
 
-from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,9 +12,9 @@ from geomid_ros.gap.linearised_problem import LinearisedProblem, design_of
 from geomid_ros.gap.noise import Autoregression
 from geomid_ros.gap.records import TotalModel
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
+from geomid_ros.model.effects import AtJoint, AtSensor, OnLink
 from geomid_ros.model.effects.friction import ViscousFriction
-from geomid_ros.model.effects.mounting import CarriedBody, GravityTilt
+from geomid_ros.model.effects.mounting import CarriedBody
 from geomid_ros.model.effects.sensor_errors import WrenchOffset
 from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.model.robot import Robot
@@ -71,12 +70,17 @@ def test_products_are_those_of_the_whitened_columns() -> None:
         assert DESIGN.counts[channel] == len(columns)
 
 
-def test_crossed_products_are_those_with_a_candidate_s_columns() -> None:
-    candidate = Candidate(ViscousFriction(), AtJoint(0), (BOTH, SECOND))
+@pytest.mark.parametrize(
+    "candidate",
+    [Candidate(ViscousFriction(), AtJoint(0), (BOTH, SECOND)), Candidate(CarriedBody(), OnLink(1, 1), ())],
+    ids=["two terms", "a payload, which has the columns of its link"],
+)
+def test_crossed_products_are_those_with_a_candidate_s_columns(candidate: Candidate) -> None:
     found = DESIGN.candidate_products([candidate], dict(enumerate(DESIGN.places([1], [FIRST]))))
     assert DESIGN.affected_channels(candidate) == [0, 1]
     for channel in range(CHANNELS):
-        mine = stacked(channel, [], [BOTH, SECOND])[:, 10 * LINKS : -1]
+        columns = stacked(channel, [], [BOTH, SECOND])
+        mine = columns[:, 10 * LINKS : -1] if candidate.terms else columns[:, 10:20]
         np.testing.assert_allclose(found[channel].crossed[0], mine.T @ stacked(channel, [1], [FIRST]), atol=1e-10)
         np.testing.assert_allclose(found[channel].squared[0], mine.T @ mine, atol=1e-10)
 
@@ -93,46 +97,13 @@ def test_candidates_have_products_in_the_channels_that_they_reach() -> None:
         assert own == pytest.approx(mine @ mine)
 
 
-def test_a_payload_has_the_columns_of_its_link() -> None:
-    candidate = Candidate(CarriedBody(), OnLink(1, 1), ())
-    assert DESIGN.affected_channels(candidate) == [0, 1]
-    found = DESIGN.candidate_products([candidate], dict(enumerate(DESIGN.places([], [FIRST]))))
-    for channel in range(CHANNELS):
-        mine = stacked(channel, [], [])[:, 10:20]
-        np.testing.assert_allclose(found[channel].crossed[0], mine.T @ stacked(channel, [], [FIRST]), atol=1e-10)
-        np.testing.assert_allclose(found[channel].squared[0], mine.T @ mine, atol=1e-10)
-
-
-class TestColumns:
-    """Columns of effects by the channels that they reach."""
-
-    URDF = (planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")
-    MODEL = MeasurementModel(Robot(URDF), (), (WrenchSensor("/wrench", "link3", "mounted", ("fx", "tz")),))
-    COUNT = 30
-    PREDICTED = RNG.normal(size=(COUNT, 5))
-
-    def columns(self, *terms: EffectTerm) -> dict[EffectTerm, dict[int, FloatArray]]:
-        motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0).select(slice(self.COUNT))
-        by_gravity = np.zeros((self.COUNT, 5, 3))
-        by_gravity[:, 1:4, 1] = self.PREDICTED[:, 1:4]
-        said = {"predicted": self.PREDICTED, "by_gravity": by_gravity, "gravity": np.array([0.0, 0.0, -9.81])}
-        unsaid: dict[str, Any] = dict.fromkeys(field.name for field in fields(Situation))
-        situation = Situation(**{**unsaid, **said, "coefficients": {}})
-        records: Any = SimpleNamespace(samples=motion, with_shifted_efforts=lambda _: records)
-        problem = LinearisedProblem(self.MODEL, records, TotalModel(np.zeros((0, 10)), (), self.MODEL.robot.gravity))
-        vars(problem)["situation"] = situation
-        return problem.columns(terms)
-
-    def test_a_tilt_reaches_what_gravity_reaches(self) -> None:
-        terms = [EffectTerm(GravityTilt(), OnRobot(), index) for index in range(2)]
-        found = self.columns(*terms)
-        assert [list(by_channel) for by_channel in found.values()] == [[1, 2, 3], []]
-        # R^T g turns towards y by x, from (0, 0, -g) to (0, -g sin, -g cos).
-        np.testing.assert_allclose(found[terms[0]][2], -9.81 * self.PREDICTED[:, 2], rtol=1e-6)
-
-    def test_an_offset_of_a_sensor_reaches_each_axis_by_itself(self) -> None:
-        place = AtSensor("/wrench", (3, 4))
-        terms = [EffectTerm(WrenchOffset(), place, index) for index in range(2)]
-        found = self.columns(*terms)
-        assert [list(by_channel) for by_channel in found.values()] == [[3], [4]]
-        np.testing.assert_array_equal(found[terms[1]][4], np.ones(self.COUNT))
+def test_an_offset_of_a_sensor_reaches_each_axis_by_itself() -> None:
+    sensor, count = WrenchSensor("/wrench", "link3", "mounted", ("fx", "tz")), 30
+    model = MeasurementModel(Robot((planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")), (), (sensor,))
+    motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0).select(slice(count))
+    total = TotalModel(np.zeros((0, 10)), (), model.robot.gravity)
+    records: Any = SimpleNamespace(samples=motion)
+    terms = [EffectTerm(WrenchOffset(), AtSensor("/wrench", (3, 4)), index) for index in range(2)]
+    found = LinearisedProblem(model, records, total).columns(terms)
+    assert [list(by_channel) for by_channel in found.values()] == [[3], [4]]
+    np.testing.assert_array_equal(found[terms[1]][4], np.ones(count))

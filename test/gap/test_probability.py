@@ -56,12 +56,6 @@ def test_a_large_name_is_sure_and_one_with_an_equal_rival_is_not() -> None:
             assert support.rivals[0][0] in (VISCOUS, ROTOR)
 
 
-def test_a_name_is_worth_no_more_than_its_size_says() -> None:
-    for seed in range(5):
-        for support in supports({VISCOUS: 0.05, OFFSET: 0.2}, seed).values():
-            assert support.adjusted_loss <= support.loss
-
-
 def test_what_every_joint_may_have_is_likely_from_three_standard_deviations_on_and_not_before() -> None:
     """Of a name that is as likely as not, a size is evidence or none, and its probability is not held back besides."""
     ordinary, beyond, within = at("effort_gain", 0, odds=1.0), [], []
@@ -105,31 +99,6 @@ def test_a_change_that_is_likely_only_beside_one_less_likely_than_nothing_is_not
     assert analysis._likely(both) is both
     monkeypatch.setattr(Supports, "adjusted_loss", lambda s, c: -1.0 if c is VISCOUS else adjusted_loss(s, c))
     assert analysis._likely(both).found.chosen == ()
-
-
-def test_what_improves_the_fit_beside_a_name_as_well_is_no_rival_of_it() -> None:
-    """Of a search that was ended before it had found the others."""
-    design = Recording(4, CANDIDATES).design({c.terms[0]: 0.1 + 0.02 * k for k, c in enumerate(CANDIDATES)})
-    selection = Selection(design, PRIOR, CANDIDATES)
-    support = Supports(selection, selection.fit([VISCOUS])).of(VISCOUS)
-    assert support.probability > 0.99
-    assert {rival for rival, _ in support.rivals} == set(CANDIDATES[1:])
-    for rival, loss in support.rivals:
-        exactly = selection.fit([rival]).score - selection.fit([VISCOUS, rival]).score
-        assert loss == pytest.approx(exactly, rel=0.2)
-
-
-def test_a_rival_that_is_common_is_the_likelier(monkeypatch: pytest.MonkeyPatch) -> None:
-    columns = {ROTOR.terms[0]: VISCOUS.terms[0]}
-    selection = Selection(Recording(1, CANDIDATES, columns).design({VISCOUS.terms[0]: 0.05}), PRIOR, CANDIDATES)
-    each, found = Supports(selection, selection.fit([VISCOUS])), []
-    for common in ({}, {ROTOR: 6.0}, {VISCOUS: 6.0}, {VISCOUS: 6.0, ROTOR: 6.0}):
-        monkeypatch.setattr(each, "_common", lambda c, common=common: common.get(c, 0.0))
-        probability = each.of(VISCOUS).probability
-        found.append(2.0 * np.log(probability / (1.0 - probability)))
-    neither, rival, own, both = found
-    assert rival < neither < own
-    assert neither == pytest.approx(both, abs=0.1)
 
 
 def test_names_are_as_common_as_the_others_were_found_to_be() -> None:
@@ -179,14 +148,6 @@ def test_each_channel_s_lack_counts_by_the_weight_that_least_squares_give_what_i
         of_each = 0.25 * lacks / powers  # relative variance of the size as one channel alone says it
         expected = np.sum(weights * np.sqrt(of_each))  # the errors may have one cause
         assert relative_std_from_remainder(design, found, 0, np.ones(1)) == pytest.approx(expected)
-
-
-def test_a_power_that_rounding_leaves_below_zero_is_none() -> None:
-    design: Any = SimpleNamespace(
-        channels=[SimpleNamespace(before=None)] * 2, powers=lambda *_: np.array([1.0, -1e-18])
-    )
-    found: Any = SimpleNamespace(squares=np.ones(2), remainders=lambda _: [SimpleNamespace(power=1.0, freedom=1.0)] * 2)
-    assert relative_std_from_remainder(design, found, 0, np.ones(1)) == pytest.approx(0.5)
 
 
 def test_separability_is_what_the_others_leave_of_a_column_and_a_known_parameter_imitates_nothing() -> None:

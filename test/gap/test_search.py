@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap.candidates import Candidate, EffectsFit, EffectTerm
-from geomid_ros.inference.selection import KEPT_PROMISE, Selection
+from geomid_ros.inference import selection
+from geomid_ros.inference.design import ChannelRows, Design
+from geomid_ros.inference.fit import JointFit, fit
+from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects.friction import SPEEDS, CoulombFriction, StribeckFriction
+from geomid_ros.types import IntArray
 
-from .small import LINK, PAYLOAD, PRIOR, Recording, at
+from .small import LINK, PAYLOAD, PRIOR, ROWS, Recording, at
 
 VISCOUS, OFFSET, ROTOR = (at(name, 0) for name in ("viscous_friction", "effort_offset", "rotor_inertia"))
 OTHERS = tuple(at(name, 1) for name in ("viscous_friction", "effort_offset", "rotor_inertia"))
@@ -92,21 +97,6 @@ def test_pruning_leaves_out_what_is_not_worth_its_parameters_and_nothing_else() 
     assert one.prune(one.fit([VISCOUS, OTHERS[1]])) is one.fit([VISCOUS, OTHERS[1]])
 
 
-def test_every_set_is_tried_that_is_better_without_a_name() -> None:
-    """Whatever the loss to second order says."""
-    rng = np.random.default_rng(2)
-    tried = left = 0
-    for seed in range(20):
-        sizes = {c: rng.uniform(0.0, 0.1, len(c.terms)) for c in CANDIDATES[:6]}
-        one = search({c: list(size) for c, size in sizes.items()}, seed=seed, among=CANDIDATES[:6])
-        everything = one.fit(CANDIDATES[:6])
-        smaller = {frozenset(found.chosen) for found in one._smaller(everything)}
-        better = [c for c in everything.chosen if one.without(everything, c).score <= everything.score]
-        assert all(frozenset(everything.chosen) - {c} in smaller for c in better)
-        tried, left = tried + sum(len(chosen) == 5 for chosen in smaller), left + len(better)
-    assert 0 < left < tried < 120
-
-
 def test_rivals_stand_in_the_place_of_a_name() -> None:
     """Two columns are nearly the same; a third name is no rival however well it fits."""
     one = search({VISCOUS: [STRONG], OFFSET: [0.02]}, alike={ROTOR.terms[0]: VISCOUS.terms[0]}, among=CANDIDATES[:6])
@@ -121,18 +111,6 @@ def test_a_rival_promises_half_of_what_the_name_is_worth() -> None:
         one = search({VISCOUS: [STRONG], ROTOR: [share * STRONG]}, among=[VISCOUS, ROTOR], seed=4)
         found = [names(rival) for rival in one.rivals(one.fit([VISCOUS]), VISCOUS)]
         assert found == expected
-
-
-def test_names_bring_what_the_score_test_promises() -> None:
-    """Within the factor by which the search relies on it."""
-    rng = np.random.default_rng(1)
-    for seed in range(20):
-        sizes = {c: rng.uniform(0.0, 1.0, len(c.terms)) for c in CANDIDATES[:6]}
-        one = search({c: list(size) for c, size in sizes.items()}, seed=seed, among=CANDIDATES[:6])
-        start = one.fit([])
-        for trial in one.ranked(start):
-            alone = one.fit([trial.candidate])
-            assert not one.is_plausible(alone) or start.score - alone.score < KEPT_PROMISE * max(trial.gain, 0.0) + 1.0
 
 
 SPEEDY = [at(StribeckFriction(speed, 0.003), 0) for speed in SPEEDS[:9]]
@@ -179,3 +157,37 @@ def test_a_name_that_turns_all_columns_ends_a_search_unless_it_is_the_last() -> 
     assert names(one.grow(one.fit([]), to_the_end=False)) == {turning}
     assert names(one.optimise(one.fit([]))) == {turning, VISCOUS}
     assert names(one.grow(one.fit([turning]), to_the_end=False)) == {turning, VISCOUS}
+
+
+NAMES = tuple(at(effect, joint) for effect in ("viscous_friction", "coulomb_friction", "spring") for joint in (0, 1))
+TWO_LINKS = Prior(
+    inertias=np.tile(LINK, 2), prior_std=0.2, terms=(), values=np.zeros(0), prior_stds=np.zeros(0), certainty=4.0
+)
+
+
+def channel(rng: np.random.Generator, link: int) -> ChannelRows:
+    """Rows of a joint that carries one link alone, with viscous friction."""
+    terms = [term for name in NAMES if name.terms[0].joints == (link,) for term in name.terms]
+    columns = rng.normal(size=(ROWS, 11 + len(terms)))
+    columns[:, -1] += columns[:, :10] @ LINK + 0.3 * columns[:, 10]
+    places, links = {term: 10 + place for place, term in enumerate(terms)}, np.full(20, -1)
+    links[10 * link : 10 * link + 10] = np.arange(10)
+    return ChannelRows(columns, np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp), places, links)
+
+
+def whole(current: JointFit) -> IntArray:
+    """All parameters are one limb's."""
+    return np.zeros(len(current.information), dtype=np.int64)
+
+
+def test_a_limb_s_score_tests_are_those_beside_all_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    design = Design.of([channel(rng, 0), channel(rng, 1)], 20)
+    current = fit(design, TWO_LINKS, [NAMES[0]])
+    assert np.unique(selection._limbs(current)).tolist() == [0, 10]
+    limbs = selection.score_tests(design, current, NAMES[1:])
+    monkeypatch.setattr(selection, "_limbs", whole)
+    for own, dense in zip(limbs, selection.score_tests(design, current, NAMES[1:]), strict=True):
+        assert own.candidate is dense.candidate
+        assert own.gain == pytest.approx(dense.gain, rel=1e-8)
+        assert own.separability == pytest.approx(dense.separability, rel=1e-8)

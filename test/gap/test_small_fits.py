@@ -1,8 +1,6 @@
 """The joint fit on designs of random columns: its objective, its uncertainty, and what is known before."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,22 +9,19 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective
-from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, parameters, passivity_constraints
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.inference import prior as before
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
-from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
+from geomid_ros.inference.prior import GAIN, OtherRecordings
 from geomid_ros.inference.remainder import DEFAULT_VARIANCE
 from geomid_ros.inference.selection import ScoreTest, Selection, score_tests
-from geomid_ros.model.effects import AtSensor
-from geomid_ros.model.effects.sensor_errors import WrenchOffset
 from geomid_ros.types import FloatArray
 
 from .planted import model
-from .small import CHANNELS, LINK, PAYLOAD, PRIOR, ROWS, Recording, at
+from .small import LINK, PAYLOAD, PRIOR, ROWS, Recording, at
 
 VISCOUS, OFFSET, ELSEWHERE = at("viscous_friction", 0), at("effort_offset", 0), at("viscous_friction", 1)
 COULOMB = at("coulomb_friction", 0)
@@ -85,34 +80,6 @@ def test_the_hessian_of_what_is_known_is_the_bend_of_the_value() -> None:
         assert unit @ hessian @ unit == pytest.approx((ahead - 2.0 * here + behind) / step**2, rel=1e-3)
 
 
-def test_the_information_is_that_of_gaussian_rows() -> None:
-    own = objective()
-    start = own.manifold.point(np.append(1.1 * LINK, [0.2, -0.1]))
-    jacobian = own.manifold.whiten(start, np.eye(own.manifold.dimension))
-    of_rows = sum(
-        count / squares * own.profile.products.weighed(np.arange(CHANNELS) == channel)[:-1, :-1]
-        for channel, (count, squares) in enumerate(zip(own.profile.counts, own.profile.squares(start), strict=True))
-    )
-    into = np.linalg.inv(own.manifold.offset_rows(own.profile.prior, np.eye(own.manifold.dimension)))
-    of_known = into.T @ own.known[:-1, :-1] @ into
-    expected = jacobian.T @ (of_rows + of_known) @ jacobian
-    np.testing.assert_allclose(own.evaluate(start).information, expected, rtol=1e-9, atol=1e-9)
-    assert own.scale == CHANNELS * ROWS
-
-
-def test_no_sum_of_squares_is_less_than_the_least() -> None:
-    """A ten-billionth of the target's, in a channel that the parameters explain exactly."""
-    own = objective().profile
-    start = own.manifold.point(np.append(LINK, [0.2, -0.1]))
-    rows = np.random.default_rng(3).normal(size=(30, own.manifold.dimension))
-    columns = np.column_stack([rows, rows @ start.parameters])
-    every = own.products
-    exact = replace(every, blocks=(columns.T @ columns, *every.blocks[1:]))
-    first, second = replace(own, products=exact).squares(start)
-    assert first == pytest.approx(1e-10 * exact.targets[0], rel=1e-9)
-    assert second == own.squares(start)[1]
-
-
 def test_a_row_that_a_name_explains_exactly_does_not_lose_itself_in_the_remainder() -> None:
     """Beside other recordings the remainder grows with what is named, in units of a noise of which one row says
     nothing: the two in turn, each larger by the other, stay within rounding."""
@@ -143,18 +110,6 @@ def test_beside_other_recordings_each_block_may_change_by_a_twentieth_of_what_is
     assert np.max(changes) > 0.0
 
 
-def test_a_minimum_is_near_enough_where_no_step_promises_much() -> None:
-    """Whatever the direction: within a twentieth of a standard deviation."""
-    own = objective()
-    start = own.manifold.point(np.append(LINK, [0.1, 0.0]))
-    rough, exact = (trust_region(own, start, 1e-12, least_decrease=least) for least in (1e-3, 0.0))
-    assert rough.converged
-    assert 0 < rough.steps < exact.steps
-    off = own.manifold.whiten(exact.point, np.eye(own.manifold.dimension))
-    off = np.linalg.solve(off, rough.point.parameters - exact.point.parameters)
-    assert np.sqrt(off @ exact.evaluation.hessian @ off) < 0.05
-
-
 def test_standard_deviations_are_those_of_the_errors() -> None:
     """Over robots: mean squares of errors in standard deviations, false once in ten thousand."""
     errors = []
@@ -181,17 +136,6 @@ def test_what_a_joint_that_moves_one_way_feels_is_friction_rather_than_an_offset
     assert found.value(COULOMB.terms[0]) == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_covariance_is_the_inverse_information_in_parameters() -> None:
-    found = fit(designed(1), PRIOR, [VISCOUS])
-    np.testing.assert_allclose(found.inverse @ found.information, np.eye(11), atol=1e-8)
-    jacobian, step = found.manifold.whiten(found.point, np.eye(11)), 1e-6
-    np.testing.assert_allclose(found.covariance, jacobian @ found.inverse @ jacobian.T, rtol=1e-9)
-    for place in range(11):
-        tangent = step * np.eye(11)[place]
-        change = found.manifold.straight(found.point, tangent).parameters - found.point.parameters
-        np.testing.assert_allclose(jacobian[:, place], change / step, atol=1e-7)
-
-
 def test_units_of_a_column_do_not_matter() -> None:
     recording = Recording(3, NAMES)
     one = fit(recording.design({TERM: 0.3}), PRIOR, NAMES)
@@ -206,7 +150,7 @@ def test_units_of_a_column_do_not_matter() -> None:
 def test_the_spread_is_the_one_of_the_best_score(planted: float, expected: float) -> None:
     """And follows the links' errors, as far as one link tells."""
     spreads = []
-    for seed in range(12):
+    for seed in range(8):
         direction = np.random.default_rng(seed).standard_normal((4, 4))
         root = scipy.linalg.sqrtm(pseudo_inertia.from_parameters(LINK))
         body = root @ spd.sym_exp(planted * 0.5 * (direction + direction.T)) @ root
@@ -252,12 +196,6 @@ class TestWhatTheModelHas:
         assert found.value(TERM) == pytest.approx(0.4)
         assert np.sqrt(found.covariance[found.place(TERM), found.place(TERM)]) == pytest.approx(0.05, rel=1e-3)
 
-    def test_it_is_what_an_unfitted_model_says(self) -> None:
-        prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), prior_stds=np.array([0.05]))
-        found = fit_of_prior(prior)
-        assert (found.value(TERM), found.chosen, found.bodies, found.prior_stds[0]) == (0.4, (), [], PRIOR.prior_std)
-        np.testing.assert_allclose(found.point.parameters, np.append(LINK, 0.4))
-
 
 class TestScoreTest:
     def test_separability_is_the_share_of_a_column_that_the_others_cannot_imitate(self) -> None:
@@ -293,7 +231,7 @@ class TestScoreTest:
         positive = Recording(1, [COULOMB]).design({COULOMB.terms[0]: 0.3})
         assert score_test(positive, fit(positive, PRIOR, []), COULOMB).gain > 100.0
 
-    @pytest.mark.parametrize("value", [0.05, 0.3, 3.0])
+    @pytest.mark.parametrize("value", [0.05, 3.0])
     def test_it_foretells_the_gain_of_the_fit(self, value: float) -> None:
         design = designed(8, value)
         bare = fit(design, PRIOR, [])
@@ -301,10 +239,9 @@ class TestScoreTest:
         exact = bare.score - fit(design, PRIOR, [VISCOUS], prior_std=float(bare.prior_stds[0])).score
         assert gain == pytest.approx(exact, rel=0.05, abs=1.0)
 
-    @pytest.mark.parametrize("seed", [8, 9])
-    def test_it_foretells_it_beside_a_prior_that_pulls(self, seed: int) -> None:
+    def test_it_foretells_it_beside_a_prior_that_pulls(self) -> None:
         """The link is another than the prior says, which holds it hard: a name that the link can imitate lets it go."""
-        recording, spread = Recording(seed, NAMES), 0.02
+        recording, spread = Recording(8, NAMES), 0.02
         recording.columns[TERM] += recording.coefficients[:, 0, 0]
         design = recording.design({TERM: 0.03}, 1.2 * LINK)
         bare = fit(design, PRIOR, [], prior_std=spread)
@@ -361,13 +298,6 @@ def known_rows(known: OtherRecordings) -> FloatArray:
 
 class TestOtherRecordings:
     KNOWN = OtherRecordings(np.random.default_rng(1).normal(size=(12, 10)), np.arange(12.0))
-
-    def test_rows_of_links_alone_say_nothing_of_effects(self) -> None:
-        rows, cost = self.KNOWN.present_rows(13, 10, {})
-        np.testing.assert_array_equal(rows[:, :10], self.KNOWN.rows)
-        np.testing.assert_array_equal(rows[:, 10:13], np.zeros((12, 3)))
-        np.testing.assert_array_equal(rows[:, 13], np.arange(12.0))
-        assert cost == 0.0
 
     def test_effects_of_now_are_those_of_then_and_what_they_have_changed_by(self) -> None:
         """Their covariance is the sum of both, the probability of the rows is the integral over those of then. Of one
@@ -447,24 +377,19 @@ class TestOtherRecordings:
         assert before.cost_of_inflation(known_rows(empty), 7.0) == before.cost_of_inflation(known_rows(self.KNOWN), 7.0)
 
 
-class TestPayloadStart:
-    LINKS = np.array([LINK, 3.0 * LINK])
-
-    def test_a_payload_s_mass_and_centre_are_found(self) -> None:
-        """Beside inertias that are nearly certain."""
-        precise = Prior(
-            inertias=LINK, prior_std=1e-3, terms=(), values=np.zeros(0), prior_stds=np.zeros(0), certainty=1e6
-        )
-        for mass, centre in ((0.1, [0.0, 0.0, 0.0]), (1.0, [0.5, -0.3, 0.2]), (1.5, [0.0, 1.0, 0.0])):
-            offset = np.array(centre)
-            about = (offset @ offset + 0.02) * np.eye(3) - np.outer(offset, offset)
-            rows, columns = pseudo_inertia.INERTIA_ENTRIES
-            body = mass * np.concatenate([[1.0], offset, about[rows, columns]])
-            found = fit(Recording(2, []).design({}, LINK + body), precise, [PAYLOAD])
-            payload = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[1]
-            stds = np.sqrt(np.diag(found.covariance))[10:20]
-            np.testing.assert_array_less(np.abs(payload - body), 4.0 * stds)
-            assert stds[0] < 0.1
+def test_a_payload_s_mass_and_centre_are_found() -> None:
+    """Beside inertias that are nearly certain."""
+    precise = replace(PRIOR, prior_std=1e-3, certainty=1e6)
+    for mass, centre in ((0.1, [0.0, 0.0, 0.0]), (1.0, [0.5, -0.3, 0.2]), (1.5, [0.0, 1.0, 0.0])):
+        offset = np.array(centre)
+        about = (offset @ offset + 0.02) * np.eye(3) - np.outer(offset, offset)
+        rows, columns = pseudo_inertia.INERTIA_ENTRIES
+        body = mass * np.concatenate([[1.0], offset, about[rows, columns]])
+        found = fit(Recording(2, []).design({}, LINK + body), precise, [PAYLOAD])
+        payload = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[1]
+        stds = np.sqrt(np.diag(found.covariance))[10:20]
+        np.testing.assert_array_less(np.abs(payload - body), 4.0 * stds)
+        assert stds[0] < 0.1
 
 
 def test_a_payload_s_parameters_are_as_sure_as_its_body() -> None:
@@ -513,21 +438,6 @@ def test_parameters_of_a_spring_are_as_sure_as_its_coefficients_together() -> No
     assert quantities["equilibrium"].std == pytest.approx(np.sqrt(slope @ covariance @ slope))
 
 
-def test_a_sensor_s_offset_has_a_parameter_for_each_axis_with_its_unit() -> None:
-    place = AtSensor("/wrench", (3, 4))
-    own: Any = SimpleNamespace(
-        channels=[*MODEL.channels, SimpleNamespace(axis="fx", unit="N"), SimpleNamespace(axis="tz", unit="N m")]
-    )
-    terms = tuple(EffectTerm(WrenchOffset(), place, index) for index in range(2))
-    values = dict(zip(terms, (3.0, -0.5), strict=True))
-    found: Any = SimpleNamespace(value=values.__getitem__, covariance_of={terms: np.diag([0.25, 0.01])}.__getitem__)
-    quantities = parameters(own, found, Candidate(WrenchOffset(), place, terms))
-    assert {name: (q.value, q.std, q.unit) for name, q in quantities.items()} == {
-        "fx": (3.0, 0.5, "N"),
-        "tz": (-0.5, 0.1, "N m"),
-    }
-
-
 @pytest.mark.parametrize(("excess", "known"), [(-3.0, None), (-3.0, "rows"), (-0.6, None)])
 def test_known_dry_friction_drives_no_joint(excess: float, known: str | None) -> None:
     """Where the data would have it so, the fit is that of one column: friction that is nothing at standstill."""
@@ -536,24 +446,15 @@ def test_known_dry_friction_drives_no_joint(excess: float, known: str | None) ->
     recording = Recording(4, [stribeck, VISCOUS])
     design = recording.design({level: 1.0, own: excess})
     others = OtherRecordings(np.random.default_rng(1).normal(scale=3.0, size=(8, 10)), np.zeros(8)) if known else None
-    wide = {
-        "inertias": LINK,
-        "prior_std": 0.2,
-        "certainty": 4.0,
-        "other_recordings": others,
-        "constraints": passivity_constraints,
-    }
-    found = fit(design, Prior(terms=(level, own), values=np.ones(2), prior_stds=np.full(2, 1e3), **wide), [])
+    wide = replace(PRIOR, other_recordings=others, constraints=passivity_constraints)
+    found = fit(design, replace(wide, terms=(level, own), values=np.ones(2), prior_stds=np.full(2, 1e3)), [])
     if excess > -1.0:
         assert found.value(own) == pytest.approx(excess, abs=0.05)
         return
     assert found.value(level) + found.value(own) == pytest.approx(0.0, abs=1e-3)
     merged = Recording(4, [stribeck, VISCOUS])
     merged.columns[TERM] = merged.columns[level] - merged.columns[own]
-    one = fit(
-        merged.design({level: 1.0, own: excess}),
-        Prior(terms=(TERM,), values=np.ones(1), prior_stds=np.full(1, 1e3), **wide),
-        [],
-    )
+    free = replace(wide, terms=(TERM,), values=np.ones(1), prior_stds=np.full(1, 1e3))
+    one = fit(merged.design({level: 1.0, own: excess}), free, [])
     assert found.value(level) == pytest.approx(one.value(TERM), rel=1e-3)
     np.testing.assert_allclose(found.inertias, one.inertias, atol=1e-3)

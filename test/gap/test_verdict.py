@@ -18,11 +18,9 @@ from geomid_ros.gap.result import Finding, GapResult, ResidualDependence
 from geomid_ros.gap.verdict import locate_residuals, share, strongest
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.inference.prior import GAIN
-from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Quantity
 from geomid_ros.model.measurement_model import MeasurementModel
-from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import REST, SMOOTH_SIGN, Samples
+from geomid_ros.model.samples import SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -255,22 +253,6 @@ def test_a_moment_without_an_effort_costs_that_moment_of_delayed_efforts() -> No
     np.testing.assert_array_equal(np.flatnonzero(~known), [*range(999, 1010), len(TRAIN) - 1])
     away = known & (np.abs(np.arange(len(TRAIN)) - 1005) > 30)
     np.testing.assert_allclose(found[away], exact[away], atol=1e-6)
-
-
-def test_what_a_force_plate_measures_counts_while_joints_stand_still() -> None:
-    urdf = (planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")
-    plate = WrenchSensor("/plate", "world", "external")
-    model = MeasurementModel(Robot(urdf, floating_base=True), (), (plate,))
-    effects = TRAIN.effects.copy()
-    entries = TRAIN.entries
-    for column in entries.columns:  # at rest all the time
-        if JOINT in entries.of(column)[1]:
-            effects[:, entries.at(column, JOINT)] = column == REST
-    records = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)
-    targets = np.random.default_rng(1).normal(size=(len(records.samples), 6))
-    assert not model.layout.efforts
-    assert np.all(records.usable(model, targets))
-    assert not np.any(records.usable(planted.model(), targets[:, :3])[:, JOINT])
 
 
 @pytest.mark.parametrize(

@@ -14,14 +14,13 @@ from geomid_ros.gap import confirmed_changes as written_module
 from geomid_ros.gap import result as result_module
 from geomid_ros.gap.candidates import Candidate, EffectsFit
 from geomid_ros.gap.records import Records
-from geomid_ros.gap.result import Finding, GapResult, LinkChange
+from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, Quantity
-from geomid_ros.model.effects.drive import Spring
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Quantity
 from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
 from geomid_ros.model.effects.mounting import CarriedBody
 from geomid_ros.model.effects.situation import OnLink
@@ -29,6 +28,7 @@ from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import FloatArray
 
 from . import planted
+from .test_verdict import finding
 
 BARE = planted.model()
 JOINTS = BARE.robot.joint_names
@@ -56,22 +56,17 @@ def found(**options: Any) -> GapResult:
     return find_gap(MODEL, [train], [unseen], **options)
 
 
-@pytest.fixture(scope="module")
-def beside_model() -> GapResult:
-    return found(nominal=known())
-
-
-def test_what_no_finding_says_is_as_it_was_given(beside_model: GapResult) -> None:
-    result = beside_model
+def test_what_no_finding_says_is_as_it_was_given() -> None:
+    result = found(nominal=known())
     assert [(f.effect, f.joint) for f in result.sure] == [("viscous_friction", JOINTS[1])]
     assert not result.links
     np.testing.assert_array_equal(result.coefficients, known()[BARE.dimension :])
     np.testing.assert_array_equal(result.inertias, GIVEN)
     assert np.max(np.abs(TRUE - GIVEN)) > 0.01, "else nothing is to be put back"
-    (finding,) = result.sure
-    size = finding.parameters["coefficient"]
+    (named,) = result.sure
+    size = named.parameters["coefficient"]
     assert abs(size.value - MISSING) < 3.0 * size.std
-    assert f"{size.value:.4g}" in finding.sentence
+    assert f"{size.value:.4g}" in named.sentence
 
 
 def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,31 +82,6 @@ def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkey
     np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
 
 
-@pytest.mark.parametrize(("beside", "is_sure"), [(3.8, True), (6.0, False)])
-def test_what_is_large_only_with_unsure_effects_is_not_sure(
-    beside: float, is_sure: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The size without these is written; a cable is a spring here and an offset there."""
-
-    def fitted(stiffness: float) -> Any:
-        sizes = {"stiffness": Quantity(stiffness, 0.2, "N m/rad"), "equilibrium": Quantity(0.0, 0.01, "rad")}
-        return SimpleNamespace(chosen=[spring], sizes=sizes)
-
-    spring = Candidate.of(Spring(), AtJoint(0))
-    finding = Finding(
-        "spring", JOINTS[0], "", fitted(6.0).sizes, probability=1.0, rivals=(), separability=1.0, loss=99.0, share=1.0,
-        was={}, settled_by="",
-    )  # fmt: skip
-    analysis: Any = SimpleNamespace(
-        usual_load=lambda _: 0.0, search=SimpleNamespace(prior=SimpleNamespace(identified=True))
-    )
-    monkeypatch.setattr(written_module.library, "parameters", lambda _, fit, *__, **___: fit.sizes)
-    monkeypatch.setattr(written_module, "widened_by_remainder", lambda _, __, sizes, *___: sizes)
-    (said,) = written_module._findings_as_written(BARE, analysis, fitted(3.9), fitted(beside), [(spring, finding)])
-    assert said.parameters["stiffness"].value == 3.9
-    assert (said.confidence == "confident") == is_sure
-
-
 @pytest.mark.parametrize(
     ("identified", "off", "is_sure"), [(True, 0.03, True), (False, 0.03, False), (True, 0.005, False)]
 )
@@ -121,10 +91,7 @@ def test_a_payload_whose_written_mass_may_be_nothing_is_judged_by_its_moment(
     """Beside an identified model; moments of a URDF's links are as uncertain. The search may have told a mass."""
     payload = Candidate.of(CarriedBody(), OnLink(2, 2))
     mass, moment = {"mass": Quantity(0.31, 0.18, "kg")}, {"m x": Quantity(off, 0.003, "kg m")}
-    finding = Finding(
-        "payload", JOINTS[2], "tool", {"mass": Quantity(0.7, 0.15, "kg")}, probability=1.0, rivals=(), separability=1.0,
-        loss=99.0, share=1.0, was={}, settled_by="",
-    )  # fmt: skip
+    named = finding("payload", {"mass": Quantity(0.7, 0.15, "kg")}, joint=JOINTS[2], link="tool")
     analysis: Any = SimpleNamespace(
         usual_load=lambda _: 0.0, search=SimpleNamespace(prior=SimpleNamespace(identified=identified))
     )
@@ -132,7 +99,7 @@ def test_a_payload_whose_written_mass_may_be_nothing_is_judged_by_its_moment(
     monkeypatch.setattr(written_module.library, "first_moment", lambda *_: moment)
     monkeypatch.setattr(written_module, "widened_by_remainder", lambda _, __, sizes, *___: sizes)
     fitted: Any = SimpleNamespace(chosen=[payload])
-    (said,) = written_module._findings_as_written(BARE, analysis, fitted, fitted, [(payload, finding)])
+    (said,) = written_module._findings_as_written(BARE, analysis, fitted, fitted, [(payload, named)])
     assert (said.confidence == "confident") == is_sure
     assert said.moment == (moment if is_sure else {})
     assert said.parameters["mass"].value == 0.31

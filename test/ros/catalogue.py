@@ -91,7 +91,7 @@ CATALOGUE = (
     Fault(38, "wrench in another unit", "the same as 35", ("../checks/test_wrenches.py::test_what_is_wrong_with_a_sensor_is_named",)),
     Fault(39, "wrench tared during the run", "E once the normal level is known; its rows are left out from just before the change, until it is as before or `~/reset`; the rows are used if it may be a load: joints or other sensors show a change, too, or no joint is monitored", ("test_worker_wrenches.py::test_only_the_sensor_that_changed_loses_its_rows_and_only_until_it_is_as_before",)),
     Fault(40, "wrench drifting", "as 39; drift below the noise stays in the estimate, which equals that of a run whose sensor stopped just before the gap", ("test_catalogue_wrench.py::test_40_a_sensor_that_drifts_is_named",)),
-    Fault(41, "effort saturated", "R W", ("../signals/test_saturation.py::test_a_curve_that_is_cut_off_is_refused_where_it_is",)),
+    Fault(41, "effort saturated", "R W", ("../signals/test_effort_quality.py::test_a_curve_that_is_cut_off_is_refused_where_it_is",)),
     Fault(42, "stamps advancing over frozen numbers", "R W", (_message("42-frozen"),)),
     Fault(43, "description late", "dropped, W", (f"{_DESCRIPTION}a_late_and_at_first_unreadable_description",)),
     Fault(44, "description changed", "E; the old one is kept until `~/reset`", (f"{_DESCRIPTION}a_changed_description_waits_for_a_reset",)),

@@ -54,12 +54,6 @@ def test_the_period_is_that_of_the_joints() -> None:
     assert alone.lag == pytest.approx(pipeline_of(JOINTS, settings=SignalSettings(period=0.01)).lag)
 
 
-def test_joints_may_be_too_slow_for_the_cutoff() -> None:
-    slow = pipeline_of(JOINTS)
-    with pytest.raises(InputError, match="5 Hz is too high for data at 10 Hz"):
-        feed(slow, joint_messages(regular(0.1, 6.0)))
-
-
 def test_messages_that_only_repeat_others_are_said_to_make_joints_too_slow() -> None:
     """At 20 Hz, each measurement twice: what is known of the motion comes at 10 Hz."""
     twice = pipeline_of(JOINTS)
@@ -105,10 +99,9 @@ def interleaved(topics: list[list[Message]], longest: int, random: np.random.Gen
             del topic[:count]
 
 
-@pytest.mark.parametrize("cutoff", [2.0, 0.2])
-def test_a_topic_is_waited_for_for_a_minute(cutoff: float) -> None:
-    """Besides the filter's lag, which is 13 s with the slower one."""
-    stamps = regular(0.05, 100.0)
+def test_a_topic_is_waited_for_for_a_minute() -> None:
+    """Besides the filter's lag, which is 13 s."""
+    cutoff, stamps = 0.2, regular(0.05, 100.0)
     joints, wrench = joint_messages(stamps), wrench_messages(stamps)
     late = [(message.stamp + 59_000_000_000, message) for message in wrench]
     ahead = sorted([*((message.stamp, message) for message in joints), *late], key=lambda entry: entry[0])
@@ -159,19 +152,6 @@ def test_a_gap_starts_a_new_segment(topic: str) -> None:
     assert both[1].stamps[0] >= gap[1] + half_a_kernel
 
 
-def test_the_order_of_joints_is_each_messages_own() -> None:
-    rng = np.random.default_rng(2)
-    messages = joint_messages(regular(0.01, 6.0), velocity=True)
-    shuffled = []
-    for message in messages:
-        order = rng.permutation(len(JOINTS))
-        arrays = {key: np.array(getattr(message, key))[order] for key in ("position", "velocity", "effort")}
-        shuffled.append(replace(message, names=tuple(JOINTS[place] for place in order), **arrays))
-    settings = SignalSettings(period=0.01)
-    expected = feed(pipeline_of(JOINTS, settings=settings), messages)
-    assert_same(feed(pipeline_of(JOINTS, settings=settings), shuffled), expected, tolerance=0.0)
-
-
 @pytest.mark.parametrize("gain", [-2.5, {"elbow": -2.5}])
 def test_effort_gains_make_newton_metres(gain: float | dict[str, float]) -> None:
     """One number for all joints, or one by name; negative reverses the sign. Nothing else changes."""
@@ -183,8 +163,7 @@ def test_effort_gains_make_newton_metres(gain: float | dict[str, float]) -> None
     np.testing.assert_array_equal(scaled.position, plain.position)
 
 
-@pytest.mark.parametrize("topic", ["/wrench", "joint_states", "odom"])
-def test_topics_must_differ(topic: str) -> None:
-    sensors = [SENSOR, WrenchSensor(topic, "foot", "external")]
-    with pytest.raises(InputError, match="topics must differ"):
-        pipeline_of(JOINTS, sensors=sensors)
+def test_topics_must_differ() -> None:
+    for topic in ("/wrench", "joint_states", "odom"):
+        with pytest.raises(InputError, match="topics must differ"):
+            pipeline_of(JOINTS, sensors=[SENSOR, WrenchSensor(topic, "foot", "external")])

@@ -41,7 +41,7 @@ def test_a_pause_of_frozen_messages_is_a_pause() -> None:
     assert sum(together.ledger.topics["joint_states"].rejected.values()) == 99
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("merge", [False, True], ids=["one publisher", "two publishers"])
 def test_random_faults_in_random_blocks(merge: bool, seed: int) -> None:
     """One by one, in blocks of random sizes, and all at once: the same ledger, notes, accepted messages and samples,

@@ -7,7 +7,7 @@ measured if the stamps do not.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def received(sizes: IntArray, late: IntArray) -> tuple[IntArray, IntArray]:
     return measured, measured[ends][burst] + late[burst] + 10_000 * within
 
 
-@pytest.mark.parametrize("size", [2, 5, 20])
+@pytest.mark.parametrize("size", [2, 20])
 def test_times_are_those_of_the_measurement(size: int) -> None:
     """To a constant, within the unevenness of the bursts' ends; with another size of bursts, and after a pause."""
     rng = np.random.default_rng(size)
@@ -53,7 +53,7 @@ def test_times_are_those_of_the_measurement(size: int) -> None:
     assert np.all(np.diff(np.concatenate([later])) > 0)
 
 
-@pytest.mark.parametrize("lost", [3, 6, 9])
+@pytest.mark.parametrize("lost", [3, 9])
 def test_lost_messages_delay_those_after_them_at_once(lost: int) -> None:
     """By as many periods, from the next burst but one on."""
     measured, stamps = received(np.full(60, 10), np.zeros(60, dtype=np.int64))
@@ -100,63 +100,43 @@ def test_bursts_that_begin_later_are_named() -> None:
 
 
 STAMPS = regular(0.01, 10.0)
-SETTINGS = SignalSettings(period=0.01)
+VELOCITY = Motion().derivative(STAMPS, 1)
 
 
-def fed(velocity: FloatArray | None) -> Samples:
-    """Samples of the motion with these velocities ``(N, joints)`` in the messages."""
+def fed(velocity: FloatArray | None, seconds: float = 10.0) -> tuple[Samples, str]:
+    """Samples of the motion with these velocities ``(N, joints)`` in the messages, and what is noted."""
     messages = joint_messages(STAMPS)
     if velocity is not None:
         messages = [replace(message, velocity=row) for message, row in zip(messages, velocity, strict=True)]
-    return feed(pipeline_of(JOINTS, settings=SETTINGS), messages)
-
-
-@cache
-def derivatives() -> Samples:
-    """Samples of the motion without velocities in the messages."""
-    return fed(None)
-
-
-def true_velocity() -> FloatArray:
-    return Motion().derivative(STAMPS, 1)
-
-
-@pytest.mark.parametrize("factor", [1.0, 2.0, [1.0, np.nan, 1.0]])
-@pytest.mark.parametrize("late", [0, 1])
-def test_samples_move_by_their_positions(factor: float | list[float], late: int) -> None:
-    assert_same(fed(np.roll(true_velocity(), late, axis=0) * factor), derivatives(), tolerance=0.0)
+    target = pipeline_of(JOINTS, settings=SignalSettings(period=0.01))
+    samples = feed(target, messages[: round(100 * seconds)])
+    return samples, " ".join(map(str, target.ledger.topics[JOINT_STATES].noted))
 
 
 @pytest.mark.parametrize(
-    ("factor", "seconds", "noted"),
+    ("factor", "late", "seconds", "noted"),
     [
-        (1.0, 10.0, False),
-        (1.02, 10.0, False),
-        (1.1, 10.0, True),
-        (1.1, 2.0, False),
-        (0.714, 10.0, True),
-        (-1.0, 10.0, False),
-        (2.0, 10.0, False),
-        (0.5, 10.0, False),
+        (1.0, 0, 10.0, False),
+        (1.02, 0, 10.0, False),
+        (1.1, 0, 10.0, True),
+        (1.1, 0, 2.0, False),
+        (0.714, 0, 10.0, True),
+        (-1.0, 0, 10.0, False),
+        (2.0, 0, 10.0, False),
+        (0.5, 1, 10.0, False),
+        (1.0, 20, 10.0, False),
+        ([1.0, np.nan, 1.0], 0, 10.0, False),
     ],
 )
-def test_velocities_in_another_unit_of_time_are_told(factor: float, seconds: float, noted: bool) -> None:
-    """As are stamps that run too fast; a joint that is reversed, or a clock off by half, is another fault. As a motion
-    begins, velocities that are late are less than the derivatives, too: so little tells nothing."""
-    velocity = factor * true_velocity()
-    messages = [replace(m, velocity=row) for m, row in zip(joint_messages(STAMPS), velocity, strict=True)]
-    target = pipeline_of(JOINTS, settings=SETTINGS)
-    feed(target, messages[: round(100 * seconds)])
-    assert (SCALED in target.ledger.topics[JOINT_STATES].noted) == noted
-
-
-def test_velocities_that_are_late_are_in_no_other_unit() -> None:
-    """They are less than the derivatives at the same time, but not in proportion."""
-    late = np.roll(true_velocity(), 20, axis=0)
-    messages = [replace(m, velocity=row) for m, row in zip(joint_messages(STAMPS), late, strict=True)]
-    target = pipeline_of(JOINTS, settings=SETTINGS)
-    feed(target, messages)
-    assert SCALED not in target.ledger.topics[JOINT_STATES].noted
+def test_samples_move_by_their_positions_and_velocities_in_another_unit_of_time_are_told(
+    factor: float | list[float], late: int, seconds: float, noted: bool
+) -> None:
+    """As are stamps that run too fast; a joint that is reversed, or a clock off by half, is another fault. Velocities
+    that are late are less than the derivatives at the same time, but not in proportion; as a motion begins, so little
+    tells nothing."""
+    found, notes = fed(np.roll(VELOCITY, late, axis=0) * factor, seconds)
+    assert (str(SCALED) in notes) == noted
+    assert_same(found, fed(None, seconds)[0], tolerance=0.0)
 
 
 @pytest.mark.parametrize("rate", [1.0, 2.0])
@@ -166,9 +146,9 @@ def test_a_joint_that_stands_still_tells_nothing(rate: float) -> None:
     small, factors = np.where(still, 1e-7, 1.0), np.where(still, 0.7, rate)
     messages = [
         replace(m, position=small * m.position, velocity=factors * small * row)
-        for m, row in zip(joint_messages(STAMPS), true_velocity(), strict=True)
+        for m, row in zip(joint_messages(STAMPS), VELOCITY, strict=True)
     ]
-    target = pipeline_of(JOINTS, settings=SETTINGS)
+    target = pipeline_of(JOINTS, settings=SignalSettings(period=0.01))
     feed(target, messages)
     noted = " ".join(map(str, target.ledger.topics[JOINT_STATES].noted))
     assert ("stamps run 2 times too fast" in noted) == (rate == 2.0)
@@ -197,7 +177,7 @@ def arrays(messages: list[JointMessage]) -> tuple[IntArray, FloatArray, FloatArr
 SOURCES = {"slower": (0.0340, 1 / 30), "faster": (0.0327, 1 / 30), "much faster": (0.01, 1 / 30)}
 
 
-@pytest.mark.parametrize("source", SOURCES)
+@pytest.mark.parametrize("source", ["slower", "much faster"])
 def test_samples_move_as_measured_whenever_messages_were_published(source: str) -> None:
     """Accelerations are as far from the truth as those of a source that stamps its messages itself, nearly. From the
     stamps alone they are several times as far."""
@@ -257,16 +237,15 @@ WRONG_POSITIONS = {
 MOVING = {"all": np.eye(3), "alike": np.outer([1, 0, 0], [1, 2, 3]), "one": np.diag([0, 1, 0])}
 
 
-@pytest.mark.parametrize("moving", MOVING)
-@pytest.mark.parametrize("positions", WRONG_POSITIONS)
 @pytest.mark.parametrize("velocities", WRONG_VELOCITIES)
-def test_right_stamps_are_kept_whatever_else_is_wrong(velocities: str, positions: str, moving: str) -> None:
+def test_right_stamps_are_kept_whatever_else_is_wrong(velocities: str) -> None:
     stamps, motion = regular(0.01, 20.0), Motion()
-    position = WRONG_POSITIONS[positions](motion.derivative(stamps, 0) @ MOVING[moving])
-    velocity = WRONG_VELOCITIES[velocities](motion.derivative(stamps, 1) @ MOVING[moving])
-    clock = MotionClock(3, PERIOD)
-    np.testing.assert_array_equal(clock.times(stamps, position, velocity), stamps)
-    assert not clock.is_used
+    for positions, moving in product(WRONG_POSITIONS, MOVING):
+        position = WRONG_POSITIONS[positions](motion.derivative(stamps, 0) @ MOVING[moving])
+        velocity = WRONG_VELOCITIES[velocities](motion.derivative(stamps, 1) @ MOVING[moving])
+        clock = MotionClock(3, PERIOD)
+        np.testing.assert_array_equal(clock.times(stamps, position, velocity), stamps, err_msg=f"{positions} {moving}")
+        assert not clock.is_used, (positions, moving)
 
 
 def test_right_stamps_are_kept_where_velocities_are_differences_over_a_nominal_period() -> None:
@@ -315,14 +294,3 @@ def test_velocity_noise_of_a_robot_at_rest_decides_nothing() -> None:
     lags = (stamps[kept] - clock.times(stamps[kept], position[kept], velocity[kept])) / MS
     assert clock.is_used
     assert np.max(np.abs(lags)) < 20.0
-
-
-def test_messages_that_come_at_once_have_times_that_increase() -> None:
-    """Also while times are ahead of the stamps, which they approach again."""
-    messages = republished(*SOURCES["faster"])
-    stamps, position, velocity = arrays(messages)
-    lags = stamps - MotionClock(3, 1e9 / 30).times(stamps, position, velocity)
-    ahead = 600 + int(np.argmin(lags[600:]))
-    assert lags[ahead] < -5 * MS
-    stamps[ahead : ahead + 10] = stamps[ahead] + np.arange(10)
-    assert np.all(np.diff(MotionClock(3, 1e9 / 30).times(stamps, position, velocity)) > 0)

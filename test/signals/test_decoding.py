@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -106,7 +107,7 @@ def test_the_numbers_of_an_imu_stand_between_others() -> None:
     assert set(refusals) == {None}
 
 
-@pytest.mark.parametrize(("seconds", "nanoseconds"), [(1, 1_000_000_000), (-1, 5), (-(2**31), 0), (2**31 - 1, 7)])
+@pytest.mark.parametrize(("seconds", "nanoseconds"), [(1, 1_000_000_000), (-(2**31), 0)])
 def test_a_stamp_that_is_not_valid_is_said_to_be_so(seconds: int, nanoseconds: int) -> None:
     first = ITEMS[0].message
     stamp = type(first.header.stamp)(seconds, nanoseconds)
@@ -131,22 +132,20 @@ def test_what_lies_between_the_fields_does_not_matter() -> None:
     np.testing.assert_array_equal(block.arrays[0][0], block.arrays[0][1])
 
 
-@pytest.mark.parametrize("spoil", ["cut", "longer", "text", "count", "big"])
+SPOILED: dict[str, Callable[[bytes, int], bytes]] = {  # of a message, and where its first name is
+    "cut": lambda data, _: data[:-9],
+    "longer": lambda data, _: data + bytes(8),
+    "text": lambda data, name: data[:name] + b"\xff" + data[name + 1 :],
+    "count": lambda data, name: data[: name - 8] + b"\xc8" + data[name - 7 :],
+    "encoding": lambda data, _: data[:1] + b"\x07" + data[2:],
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILED)
 def test_other_bytes_are_refused_and_the_rest_is_read(spoil: str) -> None:
-    expected = [item for item in messages() if item[0] == JOINT_STATES][:20]
-    raw = [serialised(*item) for item in expected]
-    data = bytearray(raw[10][1])
-    if spoil == "cut":
-        data = data[:-9]
-    if spoil == "longer":
-        data += bytes(8)
-    if spoil == "text":
-        data[data.index(b"joint1")] = 0xFF
-    if spoil == "count":
-        data[data.index(b"joint1") - 8] = 200
-    if spoil == "big":
-        data[1] = 7
-    raw[10] = (JOINT_STATES, bytes(data))
+    raw = [serialised(*item) for item in messages() if item[0] == JOINT_STATES][:20]
+    data = raw[10][1]
+    raw[10] = (JOINT_STATES, SPOILED[spoil](data, data.index(b"joint1")))
     refused: list[int] = []
     decoder = Decoder()
     decoder.blocks(raw[:3], fail)

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.errors import InputError
 from geomid_ros.model.effects.drive import RotorInertia, Spring
 from geomid_ros.model.effects.friction import DISTANCES, CoulombFriction, Presliding, ViscousFriction
 from geomid_ros.model.effects.sensor_errors import EffortOffset
@@ -20,7 +19,7 @@ from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
 from . import feeding
-from .feeding import JOINTS, START, Motion, assert_same, feed, joint_messages, pipeline_of, regular
+from .feeding import JOINTS, Motion, assert_same, feed, joint_messages, pipeline_of, regular
 from .sent import JointMessage
 
 COLUMNS = tuple(
@@ -44,14 +43,17 @@ def with_efforts(stamps: IntArray, efforts: FloatArray) -> list[JointMessage]:
     return [replace(m, effort=e) for m, e in zip(joint_messages(stamps), different, strict=True)]
 
 
-@pytest.mark.parametrize("effect", range(5))
-def test_a_column_is_what_an_effort_of_that_effect_becomes(effect: int) -> None:
-    """The effort is the effect's formula on the true motion: after the filter it equals the effect's column."""
+@pytest.mark.parametrize("effects", [(0, 1, 2), (3, 4, 1)])
+def test_a_column_is_what_an_effort_of_that_effect_becomes(effects: tuple[int, ...]) -> None:
+    """The effort of each joint is an effect's formula on the true motion: filtered, it equals the effect's column."""
     stamps, motion = regular(0.008, 8.0), Motion()
-    truth = columns(*(motion.derivative(stamps, order) for order in range(3)))[:, :, effect]
+    every = columns(*(motion.derivative(stamps, order) for order in range(3)))
+    truth = np.stack([every[:, joint, effect] for joint, effect in enumerate(effects)], axis=1)
     samples = feed(pipeline(), with_efforts(stamps, truth))
     assert samples.effects.shape == (len(samples), 3 * 5)
-    assert np.max(np.abs(samples.column(COLUMNS[effect]) - samples.effort)) < 0.02 * np.max(np.abs(truth))
+    for joint, effect in enumerate(effects):
+        error = samples.column(COLUMNS[effect])[:, joint] - samples.effort[:, joint]
+        assert np.max(np.abs(error)) < 0.02 * np.max(np.abs(truth[:, joint]))
 
 
 def test_what_an_effect_remembers_does_not_depend_on_the_blocks_in_which_messages_come(
@@ -73,16 +75,6 @@ def test_what_an_effect_remembers_does_not_depend_on_the_blocks_in_which_message
     assert np.sqrt(np.mean(error**2)) < 0.05 * np.std(truth)
 
 
-def test_columns_are_not_filtered_across_a_gap() -> None:
-    messages = joint_messages(regular(0.008, 8.0))
-    sides = [
-        [m for m in messages if m.stamp < START + 3_500_000_000],
-        [m for m in messages if m.stamp > START + 4_200_000_000],
-    ]
-    broken = feed(pipeline(), sides[0] + sides[1])
-    assert_same(broken, Samples.concatenate([feed(pipeline(), side) for side in sides]), tolerance=1e-12)
-
-
 SMOOTH = 2e-3  # of a signal of size 1 after the filter
 STAMPS = 1000.0 + 0.01 * np.arange(800)
 
@@ -98,7 +90,7 @@ def samples(effort_delay: float, stamps: FloatArray, late: float) -> Samples:
     return feed(pipeline, messages)
 
 
-@pytest.mark.parametrize("delay", [0.004, 0.03, -0.02])
+@pytest.mark.parametrize("delay", [0.03, -0.02])
 def test_late_efforts_are_moved_back(delay: float) -> None:
     found = samples(delay, STAMPS, delay)
     times = 1e-9 * found.stamps
@@ -112,9 +104,3 @@ def test_a_pause_does_not_confuse_it() -> None:
     found = samples(0.03, np.delete(STAMPS, range(350, 450)), 0.03)
     assert np.diff(found.stamps).max() > 9e8
     np.testing.assert_allclose(found.effort[:, 0], np.cos(3.0e-9 * found.stamps), atol=SMOOTH)
-
-
-@pytest.mark.parametrize("delay", [2.0, -1.5, np.nan, np.inf])
-def test_a_delay_that_no_robot_has_is_refused(delay: float) -> None:
-    with pytest.raises(InputError, match="effort_delay"):
-        SignalSettings(effort_delay=delay)

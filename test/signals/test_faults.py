@@ -87,13 +87,10 @@ BAD: dict[type[Message], list[tuple[Callable[[Any], Message], str]]] = {
         (lambda m: replace(m, stamp=m.stamp - 3_000_000_000), "stamp too old"),
         (lambda m: replace(m, stamp=m.stamp + 3_000_000_000), "stamp from the future"),
         (lambda m: entry(soon(m), "position", 1, NAN), "position of 'elbow' not finite"),
-        (lambda m: entry(soon(m), "position", 1, -INFINITY), "position of 'elbow' not finite"),
         (lambda m: entry(soon(m), "position", 1, 1e308), "position of 'elbow' not finite"),
-        (lambda m: entry(soon(m), "velocity", 1, INFINITY), "velocity of 'elbow' not finite"),
         (lambda m: entry(soon(m), "velocity", 0, -1e308), "velocity of 'shoulder' not finite"),
         (lambda m: entry(soon(m), "effort", 2, NAN), "effort of 'wrist' missing or not finite"),
         (lambda m: entry(soon(m), "effort", 0, INFINITY), "effort of 'shoulder' missing or not finite"),
-        (lambda m: entry(soon(m), "effort", 1, 1e308), "effort of 'elbow' missing or not finite"),
         (lambda m: replace(soon(m), effort=()), "driver error: no effort of 'shoulder' or any other joint"),
         (lambda m: without(soon(m), "elbow"), f"joint 'elbow' is missing: {MISSING_JOINT_ADVICE}"),
         (
@@ -103,7 +100,6 @@ BAD: dict[type[Message], list[tuple[Callable[[Any], Message], str]]] = {
         (lambda m: replace(soon(m), names=(), position=(), velocity=(), effort=()), "driver error: no joint names"),
         (lambda m: replace(soon(m), names=("a", "b", "b")), "driver error: joint 'b' is named twice"),
         (lambda m: replace(soon(m), position=m.position[:2]), "driver error: position has 2 entries for 3 names"),
-        (lambda m: replace(soon(m), position=()), "driver error: position has 0 entries for 3 names"),
         (lambda m: replace(soon(m), velocity=[0.0] * 4), "driver error: velocity has 4 entries for 3 names"),
         (lambda m: replace(soon(m), effort=m.effort[:1]), "driver error: effort has 1 entries for 3 names"),
     ],
@@ -111,16 +107,13 @@ BAD: dict[type[Message], list[tuple[Callable[[Any], Message], str]]] = {
         (lambda m: replace(m, stamp=0), UNSTAMPED),
         (lambda m: m, REPEATED),
         (lambda m: entry(soon(m), "wrench", 2, NAN), "wrench not finite"),
-        (lambda m: entry(soon(m), "wrench", 0, INFINITY), "wrench not finite"),
         (lambda m: entry(soon(m), "wrench", 0, 1e308), "wrench not finite"),
         (lambda m: replace(soon(m), frame="base"), "frame 'base' is not the declared 'tool'"),
     ],
     PoseMessage: [
         (lambda m: replace(m, stamp=0), UNSTAMPED),
         (lambda m: entry(soon(m), "pose", 0, NAN), "pose not finite"),
-        (lambda m: entry(soon(m), "pose", 2, 1e308), "pose not finite"),
         (lambda m: replace(soon(m), pose=[0.0] * 7), "quaternion is not of length 1"),
-        (lambda m: entry(soon(m), "pose", 6, 2.0), "quaternion is not of length 1"),
     ],
 }
 

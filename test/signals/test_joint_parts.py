@@ -116,16 +116,6 @@ def test_others_messages_are_named() -> None:
     }
 
 
-def test_a_part_that_is_silent_stops_the_whole_and_starts_it_again() -> None:
-    left = [only(message, "shoulder") for message in WHOLE]
-    right = [only(message, "elbow", "wrist") for index, message in enumerate(WHOLE) if not 150 <= index < 220]
-    pipeline = merging()
-    samples = feed(pipeline, in_time(left, right))
-    gap = (samples.stamps > STAMPS[150]) & (samples.stamps < STAMPS[219])
-    assert not np.any(gap), "nothing is made up while one part is silent"
-    assert np.any(samples.stamps > STAMPS[300])
-
-
 def test_a_clock_set_back_begins_all_parts_anew() -> None:
     parts = [only(message, *names) for message in WHOLE for names in (("shoulder",), ("elbow", "wrist"))]
     pipeline = merging()

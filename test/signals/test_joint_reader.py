@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.signals.joint_messages import JointReader, JointStateMerger, LockedJoints
-from geomid_ros.signals.message_batch import plausible
+from geomid_ros.signals.joint_messages import JointReader, LockedJoints
 from geomid_ros.signals.messages import Block
 
 from .feeding import START, RejectedError, read
@@ -127,15 +126,6 @@ def test_the_same_numbers_again_are_frozen_if_the_robot_moves(
     read(own, message(300, velocity=velocity))
 
 
-def test_one_number_that_changes_is_enough() -> None:
-    own = reader()
-    read(own, message(0))
-    for change in ({"velocity": (1.0, -1.1)}, {"position": (0.0, 1e-9)}):
-        read(own, message(0, stamp=START + STEP, **change))
-        own.restart()
-        read(own, message(0))
-
-
 def test_positions_of_a_joint_without_end_go_on_and_those_of_others_jump() -> None:
     own = reader(continuous=(True, False))
     turn = 2.0 * np.pi
@@ -179,34 +169,3 @@ def test_a_locked_joint_that_does_not_stand_at_zero_is_named(
         values = np.array([[0.5 * place, positions[place]] for place in part])
         locked.watch(Block("joint_states", np.array(part), np.array(part), ("a", "lid"), (values, values, values)))
     assert [note.startswith(said) for note in notes] == [True] * bool(said)
-
-
-def test_numbers_below_a_thousand_million_are_plausible() -> None:
-    values = np.array([0.0, 9e8, -9e8, 1.1e9, -1.1e9, NAN, np.inf, -np.inf])
-    assert plausible(values).tolist() == [True, True, True, False, False, False, False, False]
-
-
-def test_a_joint_comes_with_the_same_others() -> None:
-    """From one publisher of several."""
-
-    def new_reader(part: tuple[str, ...]) -> JointReader:
-        return JointReader(part, np.ones(len(part)), np.zeros(len(part), dtype=bool), MAX_GAP, lambda _: None)
-
-    parts = JointStateMerger(("a", "b", "c"), MAX_GAP, 100 * STEP, new_reader, lambda _: None)
-    parts.part(("a", "c"))
-    for names, said in (
-        ("bc", "joint 'c' comes with others than before"),
-        ("x", "none of the"),
-        ("", "no joint names"),
-    ):
-        assert said in parts.part(tuple(names))
-
-
-def test_efforts_that_are_held_are_the_driver_s_fault_and_told_once() -> None:
-    notes: list[str] = []
-    own = reader(notes)
-    for index in range(1300):
-        then = index // 20
-        read(own, replace(message(index), effort=(np.sin(0.3 * then), np.cos(0.3 * then))))
-    (note,) = notes
-    assert note.startswith("driver error: efforts of all joints change only every 0.2 s")

@@ -21,12 +21,6 @@ from geomid_ros.signals.pipeline import SignalPipeline
 from .feeding import pipeline_of
 from .sent import JointMessage, WrenchMessage
 
-TYPES = {
-    JOINT_STATES: "sensor_msgs/msg/JointState",
-    ODOM: "nav_msgs/msg/Odometry",
-    "/ft": "geometry_msgs/msg/WrenchStamped",
-}
-
 
 def header(seconds: int, nanoseconds: int, frame: str = "") -> SimpleNamespace:
     return SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds), frame_id=frame)
@@ -80,11 +74,6 @@ def test_a_joint_state_is_read_whatever_its_arrays_are(kind: str) -> None:
     for found, numbers in zip(parsed.arrays, arrays.values(), strict=True):
         np.testing.assert_array_equal(found, numbers)
     assert accepted(parsed)[0] == [(JOINT_STATES, 7_000_000_001, [2.0, 1.0, 4.0, 3.0, 6.0, 5.0])]
-
-
-def test_an_odometry_is_position_then_quaternion() -> None:
-    parsed = parse(ODOM, odometry())
-    assert accepted(parsed)[0] == [(ODOM, 7_000_000_001, [1.0, 2.0, 3.0, 0.5, -0.5, 0.5, -0.5])]
 
 
 @pytest.mark.parametrize("topic", MESSAGES)

@@ -16,14 +16,29 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.gates import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTACT, _chi_square, _edge_state
+from geomid_ros.signals.gates import (
+    CLOCK_SET,
+    EARLY,
+    FROM_THE_FUTURE,
+    LEAP,
+    NOT_LATER,
+    PAUSE,
+    SET_BACK,
+    SPIKE_OR_CONTACT,
+    TOO_OLD,
+    Gate,
+    ReorderBuffer,
+    _chi_square,
+    _edge_state,
+)
+from geomid_ros.signals.message_batch import NO_MESSAGES, MessageBatch
 from geomid_ros.signals.messages import JOINT_STATES, Block, Decoder
 from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
 from geomid_ros.signals.settings import MESSAGES_UNTIL_DECISION
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import blocks, joint_messages, regular, wrench_messages
+from .feeding import START, blocks, joint_messages, regular, wrench_messages
 from .spoiled import pipeline
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -148,7 +163,9 @@ def test_a_fault_is_refused_and_leaves_no_trace(fault: str, recording: Recording
     assert all(reason in why for why in new)
 
 
-@pytest.mark.parametrize("leap", [1.5, 2.0 * np.pi - 0.8])
+@pytest.mark.parametrize(
+    ("recording", "leap"), [("simulated", 2.0 * np.pi - 0.8), ("ur10", 1.5)], indirect=["recording"]
+)
 def test_a_position_that_leaps_begins_a_segment(recording: Recording, leap: float) -> None:
     """As of a simulation that was reset: nothing is refused, what is far from the leap is as it was, and no sample
     moves across it. By nearly a turn is not by a turn."""
@@ -165,12 +182,11 @@ def test_a_position_that_leaps_begins_a_segment(recording: Recording, leap: floa
     np.testing.assert_allclose(samples.velocity[own], expected.velocity[whole], atol=1e-8)
 
 
-@pytest.mark.parametrize("case", ["messages are missing", "a joint is always faster than its limit"])
-def test_a_joint_that_moves_does_not_leap(recording: Recording, case: str) -> None:
-    missing = case == "messages are missing"
-    recording.position *= 1.0 if missing else 3.0
-    _, _, noted = recording.read(without=np.arange(700, 710) if missing else None)
-    assert LEAP not in noted
+def test_a_joint_that_moves_does_not_leap(recording: Recording) -> None:
+    """Where messages are missing, or a joint is always faster than its limit."""
+    assert LEAP not in recording.read(without=np.arange(700, 710))[2]
+    recording.position *= 3.0
+    assert LEAP not in recording.read()[2]
 
 
 def test_a_driver_that_wraps_is_unwrapped(recording: Recording) -> None:
@@ -210,7 +226,7 @@ def test_what_is_over_sooner_than_a_collision_is_a_spike(recording: Recording) -
     assert list(refused.values()) == [2]
 
 
-@pytest.mark.parametrize("period", [0.02, 0.04])
+@pytest.mark.parametrize(("recording", "period"), [("simulated", 0.02), ("ur10", 0.04)], indirect=["recording"])
 def test_what_slow_messages_cannot_tell_is_said(period: float, recording: Recording) -> None:
     """At 50 Hz a contact of 40 ms is as short as a spike, and neither is the robot's effort; at 25 Hz
     it may be motion."""
@@ -247,7 +263,7 @@ def test_the_period_of_bursts_and_pairs_is_that_of_their_span(size: int) -> None
     assert IN_BURSTS in noted
 
 
-@pytest.mark.parametrize("step", [-0.2, 0.06])
+@pytest.mark.parametrize(("recording", "step"), [("simulated", 0.06), ("ur10", -0.2)], indirect=["recording"])
 def test_a_clock_that_is_set_begins_a_segment(step: float, recording: Recording) -> None:
     """Told by the motion; samples never mix what came before and after. Messages that are lost are no clock."""
     place, count = int(np.argmax(np.abs(np.gradient(recording.position[:, recording.joint])[300:-300]))) + 300, 0.06
@@ -345,3 +361,93 @@ def test_the_time_between_two_pieces_of_a_motion_is_the_likely_one() -> None:
     end = np.array([start[0] + start[1] * time + 0.5 * slope * time**2, start[1] + slope * time])
     assert _chi_square((start, noise), (end, noise), time) == pytest.approx(0.0, abs=1e-12)
     assert _chi_square((start, noise), (end, noise), time + 0.1) > 100.0
+
+
+MAX_GAP = 500_000_000
+PERIOD = 10_000_000
+LATE = START - 100 * MAX_GAP
+
+
+def judged(*stamps: int, others: int = 0) -> tuple[list[int], list[str], list[str], int]:
+    """What passes, why the others are refused, the turns that time takes, and how many are held after so many
+    messages of other topics."""
+    notes: list[str] = []
+    gate, used, refused, turns = Gate(MAX_GAP), [], [], []
+    for place, stamp in enumerate([*stamps, *[None] * (others > 0)]):
+        new = NO_MESSAGES
+        if stamp is not None:
+            new = MessageBatch(np.array([place]), np.array([stamp]), np.zeros((1, 6)), np.full(1, None))
+        messages, noted = gate.decide(new, place if len(new) else place - 1 + others)
+        used += messages.stamps[messages.is_usable].tolist()
+        refused += messages.refusals[~messages.is_usable].tolist()
+        turns += [answer.noted for answer in noted.values() if answer.begins]
+        notes += [answer.noted for answer in noted.values() if not answer.begins]
+    return used, refused, [*turns, *notes], len(gate.waiting)
+
+
+def run(begin: int, count: int, period: int = PERIOD) -> list[int]:
+    return [begin + period * index for index in range(count)]
+
+
+BEFORE, AFTER, LATER = run(START, 20), run(START + 20 * PERIOD, 5), START + 10 * MAX_GAP
+FAR, SLOW = START + 2 * MAX_GAP, run(START + 2 * MAX_GAP, 8, 2 * MAX_GAP)
+JUDGED = {
+    **{  # a few late messages are no clock that was set back
+        f"{count} late": ([*BEFORE, *run(LATE, count), *AFTER], 0, (BEFORE + AFTER, [TOO_OLD] * count, [], 0))
+        for count in (1, 2, 5, 9)
+    },
+    "a clock that was set back": (BEFORE + run(LATE, 30), 0, (BEFORE + run(LATE, 30), [], [SET_BACK], 0)),
+    "one from the future": ([*BEFORE, LATER, *AFTER], 0, (BEFORE + AFTER, [FROM_THE_FUTURE], [], 0)),
+    "two in the future": ([*BEFORE, *run(LATER, 2)], 0, (BEFORE + run(LATER, 2), [], [PAUSE], 0)),
+    **{  # a topic slower than the longest gap takes two more messages to tell
+        f"{count} slow": (
+            [START, *SLOW[:count]], 0, ([START, *SLOW[:settled]], [], [PAUSE] * settled, count - settled)
+        )
+        for count, settled in ((1, 0), (2, 0), (3, 1), (8, 6))
+    },
+    "nearly decided": ([START, FAR], MESSAGES_UNTIL_DECISION - 1, ([START], [], [], 1)),
+    "decided without more": ([START, FAR], MESSAGES_UNTIL_DECISION, ([START, FAR], [], [PAUSE], 0)),
+    "one late, no more": ([START, LATE], MESSAGES_UNTIL_DECISION, ([START], [TOO_OLD], [], 0)),
+    "two late, no more": (
+        [START, *run(LATE, 2)], MESSAGES_UNTIL_DECISION, ([START, *run(LATE, 2)], [], [SET_BACK], 0)
+    ),
+    "the longest gap": ([START, START + MAX_GAP], 0, ([START, START + MAX_GAP], [], [], 0)),
+    "a longer gap": ([START, START + MAX_GAP + 1], 0, ([START], [], [], 1)),
+    "as far back": ([START, START - MAX_GAP], 0, ([START], [NOT_LATER], [], 0)),
+    "farther back": ([START, START - MAX_GAP - 1], 0, ([START], [], [], 1)),
+    "a pause is shown within the longest gap": (
+        [START, LATER, LATER + MAX_GAP], 0, ([START, LATER, LATER + MAX_GAP], [], [PAUSE], 0)
+    ),
+    "and not beyond": ([START, LATER, LATER + MAX_GAP + 1], 0, ([START], [], [], 2)),
+    "late and future ones confirm nothing": (
+        [START, LATE, LATER, LATE], 0, ([START], [TOO_OLD, FROM_THE_FUTURE], [], 1)
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", JUDGED)
+def test_which_stamps_pass(case: str) -> None:
+    stamps, others, expected = JUDGED[case]
+    assert judged(*stamps, others=others) == expected
+
+
+@pytest.mark.parametrize("earlier", [0, 1, MAX_GAP])
+def test_one_that_comes_again_or_late_confirms_no_pause(earlier: int) -> None:
+    later = START + 10 * MAX_GAP
+    used, refused, turns, held = judged(START, later, later - earlier)
+    assert (used, turns, held + len(refused)) == ([START], [], 2)
+    after = run(later + PERIOD, 3)
+    assert judged(START, later, later - earlier, *after) == ([START, later, *after], [NOT_LATER], [PAUSE], 0)
+
+
+def test_sources_go_on_in_the_order_in_which_they_came_first() -> None:
+    """Whatever their names are: what is told of them, and what they wait for each other, does not change by chance."""
+    sources = [(f"/wrench{number}", ()) for number in range(12)]
+    admission = ReorderBuffer(lambda _: Gate(MAX_GAP), lambda *_: None)
+    for begin in range(0, len(sources), 6):
+        new = {
+            source: MessageBatch(np.array([place]), np.array([START]), np.zeros((1, 6)), np.full(1, None))
+            for place, source in enumerate(sources[begin : begin + 6], begin)
+        }
+        (admitted,) = admission.take(new, begin + 5)
+    assert list(admitted) == sources
