@@ -102,7 +102,7 @@ def test_an_offset_of_a_sensor_reaches_each_axis_by_itself() -> None:
     model = MeasurementModel(Robot((planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")), (), (sensor,))
     motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0).select(slice(count))
     total = TotalModel(np.zeros((0, 10)), (), model.robot.gravity)
-    records: Any = SimpleNamespace(samples=motion)
+    records: Any = SimpleNamespace(samples=motion, with_shifted_efforts=lambda _: records)
     terms = [EffectTerm(WrenchOffset(), AtSensor("/wrench", (3, 4)), index) for index in range(2)]
     found = LinearisedProblem(model, records, total).columns(terms)
     assert [list(by_channel) for by_channel in found.values()] == [[3], [4]]
