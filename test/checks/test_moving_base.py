@@ -10,7 +10,6 @@ import pytest
 from model.robots import random_samples, urdf, with_values
 
 from geomid_ros.checks.moving_base import gyroscope, never_lifted, on_all_feet, reversed_efforts
-from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
 from geomid_ros.checks.unexplained import unexplained_base
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import Contact, Legs
@@ -47,13 +46,8 @@ def on_feet(turning: FloatArray, measured: FloatArray) -> Samples:
     return with_values(samples, velocity=velocity, base_velocity=np.column_stack([turning[:, :3], measured]))
 
 
-def said(turning: FloatArray, measured: FloatArray, feet: int = 4) -> str:
-    return " ".join(finding.sentence for finding in gyroscope(legs(feet), on_feet(turning, measured)))
-
-
 SECONDS = 0.02 * np.arange(COUNT)
 TURNING = turned_at(SECONDS)
-STILL = np.zeros((COUNT, 6))
 
 
 def about_z(degrees: float) -> FloatArray:
@@ -66,39 +60,29 @@ def test_feet_that_stand_tell_how_the_base_turns() -> None:
     np.testing.assert_allclose(legs().base_rate(samples), TURNING[:, 3:], atol=1e-9)
 
 
-def test_one_that_is_right_is_not_doubted() -> None:
-    noise = 0.05 * np.random.default_rng(0).normal(size=(COUNT, 3))
-    assert said(TURNING, TURNING[:, 3:] + noise) == ""
+NOISE = np.random.default_rng(0).normal(size=(COUNT, 3))
+MEASURED: dict[str, tuple[FloatArray, FloatArray, str]] = {  # the base's motion, what is measured, and what is said
+    "right": (TURNING, TURNING[:, 3:] + 0.05 * NOISE, ""),
+    "late": (TURNING, turned_at(SECONDS - 0.06)[:, 3:], "60 ms late:"),
+    "early": (TURNING, turned_at(SECONDS + 0.25)[:, 3:], "200 ms early or more"),
+    "hardly late": (TURNING, turned_at(SECONDS - 0.017)[:, 3:], ""),
+    "hardly early": (TURNING, turned_at(SECONDS + 0.017)[:, 3:], ""),
+    "turned": (TURNING, TURNING[:, 3:] @ about_z(25.0), "turned by about 25 degrees"),
+    "turned round": (TURNING, TURNING[:, 3:] @ about_z(180.0), "about 180 "),
+    "hardly turned": (TURNING, TURNING[:, 3:] @ about_z(8.0), ""),
+    "in degrees": (TURNING, np.degrees(TURNING[:, 3:]), "57.3 times that rotation: publish it in rad/s"),
+    "something else": (TURNING, NOISE, ""),
+    "standing still": (np.zeros((COUNT, 6)), np.zeros((COUNT, 3)), ""),
+    "still but for rounding": (1e-15 * TURNING, 1e-3 * NOISE, ""),
+}
 
 
-@pytest.mark.parametrize(
-    ("late", "words"),
-    [(0.06, "60 ms late:"), (-0.25, "200 ms early or more"), (0.017, ""), (-0.017, "")],
-)
-def test_a_clock_that_is_off_is_told_with_by_how_much(late: float, words: str) -> None:
-    found = said(TURNING, turned_at(SECONDS - late)[:, 3:])
+@pytest.mark.parametrize("case", MEASURED)
+def test_what_is_wrong_with_a_gyroscope_is_told_and_by_how_much(case: str) -> None:
+    turning, measured, words = MEASURED[case]
+    found = " ".join(finding.sentence for finding in gyroscope(legs(), on_feet(turning, measured)))
     assert words in found
     assert bool(found) == bool(words)
-
-
-@pytest.mark.parametrize(("degrees", "words"), [(25.0, "turned by about 25 degrees"), (180.0, "about 180 "), (8.0, "")])
-def test_a_frame_that_is_turned_is_told_with_its_angle(degrees: float, words: str) -> None:
-    found = said(TURNING, TURNING[:, 3:] @ about_z(degrees))
-    assert words in found
-    assert bool(found) == bool(words)
-
-
-def test_a_gyroscope_in_degrees_is_told() -> None:
-    """Not as one that is turned or late."""
-    found = said(TURNING, np.degrees(TURNING[:, 3:]))
-    assert "57.3 times that rotation: publish it in rad/s" in found
-
-
-@pytest.mark.parametrize("by_legs", [STILL, 1e-15 * TURNING])
-@pytest.mark.parametrize("size", [0.0, 1e-3])
-def test_a_base_that_stands_still_says_nothing(by_legs: FloatArray, size: float) -> None:
-    noise = size * np.random.default_rng(0).normal(size=(COUNT, 3))
-    assert said(by_legs, noise) == ""
 
 
 def test_around_a_foot_that_is_in_the_air_nothing_is_compared() -> None:
@@ -161,25 +145,6 @@ def test_half_of_the_force_on_the_base_must_be_explained() -> None:
     (cause,) = unexplained_base(model, [with_values(samples, effort=one_leg)], links)
     assert sorted(cause.places) == ["force", "moment"]
     assert cause.sentence.startswith("on the base the '")
-
-
-def test_what_is_kept_for_other_sensors_needs_no_feet() -> None:
-    """Of a trot, in which a foot is always in the air."""
-    seen = list[Excerpt]()
-
-    def judge(_: CheckTask, excerpt: Excerpt) -> CheckResult:
-        seen.append(excerpt)
-        return CheckResult()
-
-    model = MeasurementModel(ROBOT, (), contacts=legs().contacts)
-    check = RecordingCheck(CheckTask(model, np.ones(12), {}), judge)
-    standing = np.ones((COUNT, 4), dtype=bool)
-    standing[::8, 0] = False
-    check.add(with_values(on_feet(TURNING, TURNING[:, 3:]), standing=standing))
-    check.findings()
-    assert seen[0].recent_stance is None
-    assert seen[0].recent_motion is not None
-    assert len(seen[0].recent_motion) > COUNT // 2
 
 
 def test_a_leg_of_which_any_joint_has_been_fitted_was_in_the_air() -> None:

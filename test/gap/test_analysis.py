@@ -26,15 +26,6 @@ VISCOUS, OTHER = at("viscous_friction", 0), at("viscous_friction", 1)
 TERM = VISCOUS.terms[0]
 
 
-def test_the_size_of_a_remainder_is_that_of_what_is_used() -> None:
-    rng = np.random.default_rng(2)
-    residual = np.column_stack([0.3 * rng.standard_normal(20_000), rng.standard_normal(20_000), np.zeros(20_000)])
-    valid = rng.uniform(size=residual.shape) > 0.5
-    valid[:, 2] = False
-    wild = np.where(valid, residual, 1e6)
-    np.testing.assert_allclose(analysis._typical_size(wild, valid), [0.3, 1.0, np.nan], rtol=0.02)
-
-
 RNG = np.random.default_rng(7)
 
 

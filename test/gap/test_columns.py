@@ -1,7 +1,6 @@
 """Columns of effects that depend on the model, against differences of a robot on which the effect acts."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from geomid_ros.gap.linearised_problem import LinearisedProblem
@@ -10,7 +9,6 @@ from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import CROSSINGS, JointElasticity, sides
 from geomid_ros.model.effects.friction import LoadFriction
-from geomid_ros.model.effects.mounting import GravityTilt
 from geomid_ros.model.effects.sensor_errors import EffortGain, EncoderOffset
 from geomid_ros.types import FloatArray
 
@@ -35,13 +33,6 @@ def efforts(problem: LinearisedProblem, moved: tuple[FloatArray, FloatArray, Flo
 
 def agree(column: FloatArray, expected: FloatArray, share: float) -> None:
     assert np.linalg.norm(column - expected) < share * np.linalg.norm(expected)
-
-
-def test_turned_gravity_is_that_of_the_turned_base() -> None:
-    gravity = np.array([0.3, -0.2, -9.8])
-    expected = pin.exp3(np.array([0.7, -0.4, 0.0])).T @ gravity
-    found = GravityTilt.tilted_gravity(gravity, {"tilt_x": 0.7, "tilt_y": -0.4})
-    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_encoder_offset(problem: LinearisedProblem) -> None:

@@ -106,13 +106,6 @@ def test_rivals_stand_in_the_place_of_a_name() -> None:
     assert rivals[0].score > current.score
 
 
-def test_a_rival_promises_half_of_what_the_name_is_worth() -> None:
-    for share, expected in ((0.9, [{ROTOR}]), (0.4, [])):
-        one = search({VISCOUS: [STRONG], ROTOR: [share * STRONG]}, among=[VISCOUS, ROTOR], seed=4)
-        found = [names(rival) for rival in one.rivals(one.fit([VISCOUS]), VISCOUS)]
-        assert found == expected
-
-
 SPEEDY = [at(StribeckFriction(speed, 0.003), 0) for speed in SPEEDS[:9]]
 
 

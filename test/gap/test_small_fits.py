@@ -281,15 +281,6 @@ class TestBlocks:
         found = fit(design, PRIOR, [VISCOUS])
         assert np.all(np.diag(scattered(design, found).inverse) >= np.diag(found.inverse) * (1.0 - 1e-9))
 
-    def test_what_the_prior_tells_is_as_large_a_part_of_it(self) -> None:
-        design = self.design(np.array([0.3, -0.25, 0.35, -0.2, 0.25, -0.3, 0.3, -0.25]))
-        found = fit(design, PRIOR, [VISCOUS])
-        before, after = (
-            np.diag(each.inverse_from_data) / np.diag(each.inverse) for each in (found, scattered(design, found))
-        )
-        np.testing.assert_allclose(after, before, rtol=1e-6)
-        assert np.max(before) > 1.1
-
 
 def known_rows(known: OtherRecordings) -> FloatArray:
     """Of a link and no effects."""

@@ -26,7 +26,6 @@ from .feeding import (
     in_time,
     joint_messages,
     pipeline_of,
-    push,
     regular,
     wrench_messages,
 )
@@ -110,19 +109,6 @@ def test_a_topic_is_waited_for_for_a_minute() -> None:
         feed(pipeline(0.05, cutoff=cutoff), in_time(joints, wrench)),
         tolerance=1e-9,
     )
-
-
-def test_a_straggler_of_the_time_before_does_not_fill_the_memory() -> None:
-    """The clock is set back, a wrench of the time before comes after that, and then none any more."""
-    stamps = regular(0.05, 20.0)
-    joints, wrench = joint_messages(stamps), wrench_messages(stamps)
-    waiting = pipeline(0.05, cutoff=2.0)
-    feed(waiting, in_time(joints, wrench[:-1]))
-    back = joint_messages(regular(0.05, 100.0) - 1000_000_000_000)
-    for _ in push(waiting, [*back[:12], wrench[-1], *back[12:]]):
-        pass
-    assert "clock set back: a new segment begins" in waiting.ledger.topics["joint_states"].noted
-    assert len(waiting._sampler._streams["joint_states"].segment._on_grid.values) < 65.0 / 0.05
 
 
 def segments(samples: Samples) -> list[Samples]:

@@ -13,8 +13,7 @@ from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.types import BoolArray, FloatArray
 
-from .feeding import START, read
-from .sent import JointMessage
+from .feeding import START
 
 COUNT, PERIOD = 3000, 10_000_000
 NAMES = ("one", "two", "three")
@@ -96,23 +95,19 @@ def test_what_is_wrong_is_told(fault: Callable[[FloatArray], FloatArray], said: 
     assert len(wrong) + len(noted) == 1
 
 
-@pytest.mark.parametrize("step", [0.0, 0.1])
 @pytest.mark.parametrize("noise", [0.0, 0.02, 3.0])
-def test_real_efforts(step: float, noise: float) -> None:
-    """Clean, noisy, of noise alone; rounded to a twentieth of what they vary by; also of a driver at 17 Hz."""
+def test_real_efforts(noise: float) -> None:
+    """Clean, noisy, of noise alone; rounded to a twentieth of what they vary by; also of a driver at 17 Hz. And some
+    that are not measured."""
     effort = usual(noise, 1)
     for period in (PERIOD, 6 * PERIOD):
-        assert told(effort if step == 0.0 else np.round(effort / step) * step, period=period) == ([], [])
+        assert told(effort, period=period) == told(np.round(effort / 0.1) * 0.1, period=period) == ([], [])
+    effort[:, 1] = np.nan
+    assert told(effort) == ([], [])
 
 
 def test_a_robot_that_stands_may_send_the_same_for_long() -> None:
     assert told(held(usual()), speed=0.0) == ([], [])
-
-
-def test_efforts_that_are_not_measured_are_passed_over() -> None:
-    effort = usual()
-    effort[:, 1] = np.nan
-    assert told(effort) == ([], [])
 
 
 def test_a_few_spikes_are_no_overflow() -> None:
@@ -165,26 +160,24 @@ def test_a_curve_that_is_cut_off_is_refused_where_it_is(rate: float, frequency: 
     assert np.sum(found) > 0.6 * np.sum(cut_off)
 
 
-@pytest.mark.parametrize("bits", [5, 8])
 @pytest.mark.parametrize(("rate", "frequency"), [(1000.0, 0.5), (10.0, 0.01)])
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_a_curve_that_is_rounded_is_taken(rate: float, frequency: float, bits: int, noise: float) -> None:
+def test_a_curve_that_is_rounded_is_taken(rate: float, frequency: float, noise: float) -> None:
     """On the top level it stays for up to 4.8 times as long as on the one below, for longer than any fixed time."""
-    rng = np.random.default_rng(bits)
-    for phase in rng.uniform(0.0, 6.0, size=2):
-        clean = rng.uniform(0.8, 1.0) * curve(frequency, rate, 2.5, phase)
+    for bits in (5, 8):
+        rng = np.random.default_rng(bits)
+        clean = rng.uniform(0.8, 1.0) * curve(frequency, rate, 2.5, rng.uniform(0.0, 6.0))
         seen = rounded(clean + noise * 2.0 ** (1 - bits) * rng.normal(size=len(clean)), bits)
         assert not np.any(refused(seen, rate))
 
 
-@pytest.mark.parametrize("rate", [10.0, 15.0, 125.0])
-@pytest.mark.parametrize("bits", [0, 10])
-def test_the_same_lap_again_and_again_is_taken(rate: float, bits: int) -> None:
+@pytest.mark.parametrize("rate", [10.0, 125.0])
+def test_the_same_lap_again_and_again_is_taken(rate: float) -> None:
     """Each with exactly the same largest effort; at low rates a single message lasts for long."""
     lap = curve(0.25, rate, 1.0) + 0.4 * curve(0.75, rate, 3.0, phase=0.3)
     lap /= 1.2 * np.max(np.abs(lap))
-    laps = np.tile(rounded(lap, bits) if bits else lap, 6)
-    assert not np.any(refused(laps, rate))
+    for each in (lap, rounded(lap, 10)):
+        assert not np.any(refused(np.tile(each, 6), rate))
 
 
 def test_a_joint_that_is_held_while_others_move_is_taken() -> None:
@@ -192,17 +185,6 @@ def test_a_joint_that_is_held_while_others_move_is_taken() -> None:
     seen = np.concatenate([rounded(0.3 * curve(1.0, 200.0, 3.0), 8), np.full(400, 0.5)])
     assert not np.any(refused(seen, 200.0, speed=0.0))
     assert np.any(refused(seen, 200.0)), "one that moves is at its limit, as far as one can tell"
-
-
-def test_what_was_the_largest_before_the_clock_was_set_back_may_be_so_after_it() -> None:
-    """Of the time between nothing is known."""
-    reader = JointReader(("one",), np.ones(1), np.zeros(1, dtype=np.bool_), MAX_GAP, lambda _: None)
-    for begin in (START, START - 10**10):
-        for index, effort in enumerate(rounded(curve(0.2, 10.0, 2.0, phase=np.pi / 2), 8).tolist()):
-            read(
-                reader, JointMessage(begin + index * 10**8, ("one",), (0.1 * index,), (1.0,), (LARGEST * effort + 1.0,))
-            )
-        reader.restart()
 
 
 @pytest.mark.parametrize(("rate", "longest"), [(10.0, 6), (100.0, 6), (1000.0, 50)])

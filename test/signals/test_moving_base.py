@@ -200,13 +200,6 @@ def test_an_acceleration_that_is_not_gravity_on_average_is_not_used(scale: float
     assert {meaning_of(each) for each in noted} <= {"driver error"}
 
 
-def test_what_is_levelled_is_forgotten() -> None:
-    """Two seconds on, with what the filter needs."""
-    pipeline = new_pipeline()
-    feed(pipeline, messages())
-    assert 200 <= len(pipeline._sampler._streams[IMU].segment._levelled.values) < 400 < len(IMU_STAMPS)
-
-
 @pytest.mark.parametrize(("places", "value"), [([16], -1.0), ([28], -1.0), ([14], np.nan), ([25], np.inf)])
 def test_messages_without_measurements_are_refused(places: Sequence[int], value: float) -> None:
     """A covariance of -1 says that there is none (sensor_msgs/Imu)."""
