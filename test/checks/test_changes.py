@@ -283,12 +283,6 @@ def test_all_efforts_are_late_or_early(brisk: Case, late: int) -> None:
     assert float(time) == pytest.approx(10.0 * LATE, rel=0.4)
 
 
-def test_a_lag_is_told_by_any_residual_however_small() -> None:
-    """Errors of links leave some, too, but are not late."""
-    slow = moving(case(*ROBOTS[0]), 1.0, 0.01)
-    assert named(slow, with_lags(slow, [4] * len(slow.model.robot.joints))).kind == "late"
-
-
 def dry(of: Case, late: int = 0) -> FloatArray:
     """Dry friction that is most of the efforts, and turns about so many messages late."""
     own = of.samples
@@ -317,11 +311,3 @@ def test_the_efforts_of_one_joint_are_late(brisk: Case) -> None:
 
 def test_a_lag_that_hardly_matters_is_passed_over(brisk: Case) -> None:
     assert findings(brisk, with_lags(brisk, [1] * len(brisk.model.robot.joints))) == ()
-
-
-def test_friction_of_another_law_is_no_lag(brisk: Case) -> None:
-    """It is larger as a joint begins to move, and larger under load."""
-    own, load = brisk.samples, felt(brisk, brisk.true)
-    friction = brisk.true.effects["coulomb_friction"] * np.tanh(own.velocity / 0.02)
-    friction *= 0.5 * np.exp(-((own.velocity / 0.1) ** 2)) + 0.1 * np.abs(load) / np.std(load, axis=0)
-    assert findings(brisk, replace(own, effort=own.effort + friction)) == ()

@@ -10,6 +10,7 @@ import pytest
 from model.robots import random_samples, urdf, with_values
 
 from geomid_ros.checks.moving_base import gyroscope, never_lifted, on_all_feet, reversed_efforts
+from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
 from geomid_ros.checks.unexplained import unexplained_base
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.moving_base import Contact, Legs
@@ -145,6 +146,25 @@ def test_half_of_the_force_on_the_base_must_be_explained() -> None:
     (cause,) = unexplained_base(model, [with_values(samples, effort=one_leg)], links)
     assert sorted(cause.places) == ["force", "moment"]
     assert cause.sentence.startswith("on the base the '")
+
+
+def test_what_is_kept_for_other_sensors_needs_no_feet() -> None:
+    """Of a trot, in which a foot is always in the air."""
+    seen = list[Excerpt]()
+
+    def judge(_: CheckTask, excerpt: Excerpt) -> CheckResult:
+        seen.append(excerpt)
+        return CheckResult()
+
+    model = MeasurementModel(ROBOT, (), contacts=legs().contacts)
+    check = RecordingCheck(CheckTask(model, np.ones(12), {}), judge)
+    standing = np.ones((COUNT, 4), dtype=bool)
+    standing[::8, 0] = False
+    check.add(with_values(on_feet(TURNING, TURNING[:, 3:]), standing=standing))
+    check.findings()
+    assert seen[0].recent_stance is None
+    assert seen[0].recent_motion is not None
+    assert len(seen[0].recent_motion) > COUNT // 2
 
 
 def test_a_leg_of_which_any_joint_has_been_fitted_was_in_the_air() -> None:

@@ -14,8 +14,6 @@ from benchmarks.corruption.recording import ARM3, Recording
 from benchmarks.corruption.simulated import RAIL, simulated
 from checks.test_efforts import ROBOTS, case, checked, findings, named
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck
-from geomid_ros.model.measurement_model import MeasurementModel
-from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
@@ -54,25 +52,6 @@ def test_a_slide_in_millimetres_is_not_taken_for_lengths_of_the_urdf(tmp_path: P
     wrong = replace(sound, position=scales * sound.position, velocity=scales * sound.velocity)
     (finding,) = judged(wrong, wrong.write(tmp_path / "bag")).review.findings
     assert (finding.cause.kind, finding.cause.places) == ("position", (sound.robot.joint_names[4],))
-
-
-def test_the_unit_of_a_joint_that_no_link_loads_is_open() -> None:
-    """One of two crossed slides stands still, with noise for its effort."""
-    robot = Robot(
-        '<robot name="slides"><link name="base"/>'
-        + "".join(
-            f'<link name="{child}"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
-            f'iyz="0"/></inertial></link><joint name="{child}_slide" type="prismatic"><parent link="{parent}"/>'
-            f'<child link="{child}"/><axis xyz="{axis}"/><limit lower="-9" upper="9" effort="50" velocity="9"/></joint>'
-            for parent, child, axis in (("base", "x", "1 0 0"), ("x", "y", "0 1 0"))
-        )
-        + "</robot>"
-    )
-    moved = motion(np.random.default_rng(1), 2, 10.0)
-    moves = np.array([0.0, 1.0])
-    still = Motion(moves * moved.position, moves * moved.velocity, moves * moved.acceleration)
-    measured = 2.0 * still.acceleration + 0.1 * np.random.default_rng(2).normal(size=still.position.shape)
-    assert findings(MeasurementModel(robot, ()), samples(still, measured)) == ()
 
 
 def test_what_one_of_two_recordings_shows_is_a_remark() -> None:
@@ -164,14 +143,6 @@ def waiting(seed: int, joint: int) -> tuple[Case, Motion, BoolArray]:
 def kinds(of: Case, stopping: Motion, effort: FloatArray) -> list[str]:
     """The causes that are named."""
     return [finding.cause.kind for finding in findings(of.model, samples(stopping, effort))]
-
-
-def test_of_a_joint_that_waits_several_times_the_rubbing_of_others_says_nothing() -> None:
-    """As from point to point: others rub otherwise while it waits for them."""
-    of, stopping, waits = waiting(5, 0)
-    effort = efforts(of.model.robot, of.true, stopping)
-    effort[:, 4] += 2.0 * np.std(effort[:, 4]) * waits * np.sin(np.arange(len(waits)) / 7.0)
-    assert "frozen" not in kinds(of, stopping, effort)
 
 
 def test_a_joint_that_waits_under_any_effort_that_its_friction_holds_is_sound() -> None:

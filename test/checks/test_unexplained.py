@@ -14,7 +14,7 @@ from commands.running import found_only
 from benchmarks.corruption.__main__ import judged
 from benchmarks.corruption.faults import FAULTS
 from benchmarks.corruption.recording import SOURCES, Recording
-from checks.test_efforts import case, findings
+from checks.test_efforts import case
 from geomid_ros import Identification, identify
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.effort_data import EffortData
@@ -89,16 +89,6 @@ def test_what_a_model_without_friction_leaves_is_the_friction_s() -> None:
     rubbed, of_another = subject.with_efforts(efforts), subject.with_efforts(coupled)
     for of_efforts, share, said in ((rubbed, 0.9, True), (rubbed, 0.11, False), (of_another, 0.9, False)):
         assert ("friction (--effects)" in hint(of_efforts, joint, share)) == said
-
-
-@pytest.mark.parametrize(("joint", "other", "share"), [(1, 0, -1.0), (2, 1, -1.0)])
-def test_a_coupling_is_named_or_not_explained(joint: int, other: int, share: float) -> None:
-    of = case("arm3", 1)
-    effort = of.samples.effort.copy()
-    effort[:, joint] += share * effort[:, other]
-    names = of.model.robot.joint_names
-    for finding in findings(of.model, replace(of.samples, effort=effort)):
-        assert finding.cause.kind == "unexplained" or finding.cause.places == (names[joint], names[other])
 
 
 BEFORE = [

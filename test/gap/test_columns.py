@@ -8,8 +8,7 @@ from geomid_ros.gap.records import Records
 from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.drive import CROSSINGS, JointElasticity, sides
-from geomid_ros.model.effects.friction import LoadFriction
-from geomid_ros.model.effects.sensor_errors import EffortGain, EncoderOffset
+from geomid_ros.model.effects.sensor_errors import EncoderOffset
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -23,12 +22,6 @@ def problem() -> LinearisedProblem:
     inertias = planted.true_inertias(5, 0.2)
     records = Records.make([planted.recording(planted.rigid(inertias), 5, noise=0.0)], planted.CUTOFF)
     return LinearisedProblem.at(model, records, fit_of_prior(planted.prior(inertias)))
-
-
-def efforts(problem: LinearisedProblem, moved: tuple[FloatArray, FloatArray, FloatArray] | None = None) -> FloatArray:
-    samples = problem.records.samples
-    exact = (samples.position, samples.velocity, samples.acceleration)
-    return planted.rigid(problem.total.inertias)(*(moved or exact))
 
 
 def agree(column: FloatArray, expected: FloatArray, share: float) -> None:
@@ -58,17 +51,6 @@ def test_elasticity(problem: LinearisedProblem) -> None:
     (chosen,) = problem.records.chosen
     expected = (dynamics(*bent) - dynamics(*exact))[chosen] / compliance
     agree(JointElasticity().columns(problem.situation, AtJoint(JOINT))[20:-20, :, 0], expected[20:-20], 0.05)
-
-
-def test_gain_and_load_friction(problem: LinearisedProblem) -> None:
-    gain = EffortGain().columns(problem.situation, AtJoint(JOINT))[:, :, 0]
-    friction = LoadFriction().columns(problem.situation, AtJoint(JOINT))[:, :, 0]
-    true = efforts(problem)[:, JOINT]
-    agree(gain[:, JOINT], true, 1e-9)
-    assert not np.any(gain[:, JOINT - 1])
-    fast = np.abs(problem.records.samples.velocity[:, JOINT]) > 0.05
-    expected = np.abs(true) * np.sign(problem.records.samples.velocity[:, JOINT])
-    agree(friction[fast, JOINT], expected[fast], 0.05)
 
 
 def square(period: float, seconds: float, size: float) -> np.ndarray:

@@ -10,7 +10,6 @@ from geomid_ros.errors import InputError
 from geomid_ros.gap.analysis import known_remainder
 from geomid_ros.gap.features import LARGEST_SCALE, KnownRemainder
 from geomid_ros.gap.linearised_problem import LinearisedProblem
-from geomid_ros.gap.noise import Autoregression
 from geomid_ros.gap.records import Records
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap, remainder_of_model
@@ -118,14 +117,6 @@ def test_a_change_beside_it_that_has_no_name_is_left_where_it_is() -> None:
 def test_a_change_beside_it_is_named() -> None:
     (finding,) = gap(recorded(6, more=0.3)).findings
     assert (finding.effect, finding.joint) == ("coulomb_friction", MODEL.robot.joint_names[-1])
-
-
-def test_what_was_lacking_and_is_there_now_is_nothing_that_lacks() -> None:
-    """The remainder is then what was expected, taken back; together they are next to nothing."""
-    problem = problem_of(planted.recording(planted.rigid(TRUE), 4, 30.0), standing())
-    design = problem.design({}, (Autoregression.white(),) * len(MODEL.channels))
-    expected = float(np.sum(problem.expected_remainder[problem.valid[:, JOINT], JOINT] ** 2))
-    assert GIVEN.remainders(design)[JOINT].power < 0.1 * expected
 
 
 def test_nothing_is_known_of_what_depends_on_time() -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from .sent import JointMessage, Message, WrenchMessage
 START = 1_700_000_000_000_000_000  # [ns] an ordinary day's clock
 JOINTS = ("shoulder", "elbow", "wrist")
 AT_ONCE = 240  # messages
-Formula: TypeAlias = Callable[[FloatArray], FloatArray]
 
 
 def seconds(stamps: IntArray) -> FloatArray:

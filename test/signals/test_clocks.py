@@ -269,28 +269,3 @@ def test_late_times_do_not_drift_away_from_the_stamps() -> None:
     lags = stamps - clock.times(stamps, position, velocity)
     assert np.any(lags != 0)
     assert np.max(np.abs(lags)) < 35 * MS
-
-
-def test_what_the_filter_removes_is_left() -> None:
-    """A driver on a computer that is a little late is no reason to compute times."""
-    measured = regular(0.005, 20.0)
-    stamps = measured + np.random.default_rng(6).integers(0, 100_000, len(measured))
-    position, velocity = (Motion().derivative(measured, order) for order in (0, 1))
-    np.testing.assert_array_equal(MotionClock(3, 5 * MS).times(stamps, position, velocity), stamps)
-
-
-def test_velocity_noise_of_a_robot_at_rest_decides_nothing() -> None:
-    """Nor do lost messages, after which the mean velocity is unknown: the times that are found then are as good."""
-    source, period = SOURCES["much faster"]
-    messages = republished(source, period, 60.0)
-    stamps, position, velocity = arrays(messages)
-    rest = np.random.default_rng(7).normal(scale=0.02, size=(1000, 3))
-    stamps += 1000 * round(1e9 * period)
-    before = START + np.round(1e9 * period * np.arange(1000)).astype(np.int64)
-    stamps, position = np.append(before, stamps), np.concatenate([np.tile(position[:1], (1000, 1)), position])
-    velocity = np.concatenate([rest, velocity])
-    kept = (np.arange(len(stamps)) % 90 < 80) | (np.arange(len(stamps)) < 1400)
-    clock = MotionClock(3, 1e9 * period)
-    lags = (stamps[kept] - clock.times(stamps[kept], position[kept], velocity[kept])) / MS
-    assert clock.is_used
-    assert np.max(np.abs(lags)) < 20.0

@@ -101,7 +101,7 @@ def test_feed_forward_adds_and_reported_efforts_are_kept() -> None:
 
 def test_blocks_of_any_size_make_the_same_samples() -> None:
     noise = np.random.default_rng(1)  # so much that first samples are not told from another kind of velocity
-    sent = commands(jittered(0.0015, 4.0))
+    sent = commands(jittered(0.0015, 2.0))
     messages = with_velocities(lambda v: v + noise.normal(scale=5.0, size=3), sent)[: 3 * len(sent) // 2]
     one, many = controlled(), controlled()
     for message in messages:

@@ -152,19 +152,6 @@ def test_settings_without_a_meaning_are_refused(wrong: dict[str, float]) -> None
         SignalSettings(**wrong)
 
 
-def test_a_whole_recording_is_filtered_as_a_stream_is() -> None:
-    """A sine below the cutoff is left as it is and differentiated; noise above it goes; the ends go on as they are."""
-    times = 0.01 * np.arange(600)
-    phase = 2.0 * np.pi * times[:, None] + np.array([0.3, 1.1])
-    value = kernels.filtered(np.sin(phase) + 0.5 * np.sin(40.0 * phase), 5.0, 0.01)[0]
-    _, first, second = kernels.filtered(np.sin(phase), 5.0, 0.01)
-    middle, rate = slice(100, -100), 2.0 * np.pi
-    for found, expected in ((value, np.sin), (first / rate, np.cos), (second / rate**2, lambda x: -np.sin(x))):
-        np.testing.assert_allclose(found[middle], expected(phase[middle]), rtol=0, atol=3e-3)
-    for part, expected in zip(kernels.filtered(np.full((50, 1), 7.0), 5.0, 0.01), (7.0, 0.0, 0.0), strict=True):
-        np.testing.assert_allclose(part, expected, rtol=0, atol=1e-8)
-
-
 def test_the_first_and_the_last_value_go_on_beyond_the_ends_of_a_recording() -> None:
     values = np.random.default_rng(5).standard_normal((120, 2))
     longer = np.concatenate([np.tile(values[0], (90, 1)), values, np.tile(values[-1], (90, 1))])

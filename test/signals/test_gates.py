@@ -246,10 +246,9 @@ def test_what_slow_messages_cannot_tell_is_said(period: float, recording: Record
     else:
         assert refused == {}
         assert noted[f"effort of '{name}' {SPIKE_OR_CONTACT}: kept"] == 4
-    for size in (1, 7):
-        again = recording.read(size)
-        assert_equal(again[0], samples)
-        assert again[1:] == (refused, noted)
+    again = recording.read(size=1)
+    assert_equal(again[0], samples)
+    assert again[1:] == (refused, noted)
 
 
 @pytest.mark.parametrize("size", [2, 5])
@@ -320,14 +319,14 @@ def test_what_is_decided_anew_is_noted_once() -> None:
     again = [replace(m, stamp=m.stamp - back + (gap if m.topic == "/wrench" else 0)) for m in messages]
     later = [replace(m, stamp=m.stamp + 10_000_000_000) for m in again]
     notes = []
-    for size in (1, 7, len([*messages, *again, *later])):
+    for size in (1, len([*messages, *again, *later])):
         target = pipeline(merge=False)
         every = [*messages, *again, *later]
         for begin in range(0, len(every), size):
             target.push(blocks(every[begin : begin + size]))
         target.release()
         notes.append(target.ledger.topics["/wrench"].noted)
-    assert notes[0] == notes[1] == notes[2]
+    assert notes[0] == notes[1]
 
 
 def test_at_the_end_what_waited_behind_others_is_used() -> None:

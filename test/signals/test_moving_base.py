@@ -70,17 +70,6 @@ def test_a_flight_is_differentiated() -> None:
     np.testing.assert_allclose(errors, 0.0, rtol=0, atol=5e-3)
 
 
-def test_the_world_frame_does_not_matter() -> None:
-    """Moved to another world, all poses move with it, and body twists stay."""
-    move = pin.SE3(pin.exp3(np.array([2.0, -1.0, 1.5])), np.array([-3.0, 10.0, 4.0]))
-    here, there = wandered(), flown(lambda time: move * wandering(time))
-    np.testing.assert_allclose(there.base_velocity, here.base_velocity, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(there.base_acceleration, here.base_acceleration, rtol=0, atol=1e-8)
-    for ours, theirs in zip(here.base_pose, there.base_pose, strict=True):
-        error = pin.log6((move * pin.XYZQUATToSE3(ours)).actInv(pin.XYZQUATToSE3(theirs)))
-        np.testing.assert_allclose(error.vector, 0.0, rtol=0, atol=1e-9)
-
-
 def test_quaternions_may_be_rounded() -> None:
     """Lengths off by up to half a percent (single precision, careless drivers) are made good."""
     rounded = flown(wandering, factors=np.random.default_rng(2).uniform(0.995, 1.005, len(STAMPS)))
@@ -171,12 +160,12 @@ def test_up_is_found_though_the_base_is_shaken() -> None:
 def test_samples_do_not_depend_on_how_many_messages_come_at_once() -> None:
     together, alone = new_pipeline(), new_pipeline()
     found = []
-    for message in messages()[:800]:
+    for message in messages()[:600]:
         alone.push(message)
         samples = alone.collect()
         found += [samples] if samples is not None else []
     parts = type(found[0]).concatenate(found)
-    assert_same(parts, type(parts).concatenate(list(completed(together, messages()[:800]))))
+    assert_same(parts, type(parts).concatenate(list(completed(together, messages()[:600]))))
 
 
 @pytest.mark.parametrize(
