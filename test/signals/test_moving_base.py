@@ -13,6 +13,7 @@ from model.robots import fixed_base
 from geomid_ros.model import se3
 from geomid_ros.model.moving_base import ImuMount
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import IMU
 from geomid_ros.signals.moving_base import NO_SPECIFIC_FORCE, TOO_SMALL, Stance
@@ -68,6 +69,21 @@ def test_a_flight_is_differentiated() -> None:
         for pose, t in zip(samples.base_pose, times, strict=True)
     ]
     np.testing.assert_allclose(errors, 0.0, rtol=0, atol=5e-3)
+
+
+def test_the_filtered_pose_is_the_mean_on_the_group() -> None:
+    """Seen from it, the kernel-weighted logarithms of its neighbours cancel; their derivatives are the motion."""
+    kernels = derivative_kernels(5.0, 0.01)
+    half = kernels.shape[1] // 2
+    samples = wandered()
+    for index in (0, 20, 55):
+        pose = pin.XYZQUATToSE3(samples.base_pose[index])
+        times = seconds(samples.stamps[index]) + 0.01 * np.arange(-half, half + 1)
+        logarithms = np.array([pin.log6(pose.actInv(wandering(float(time)))).vector for time in times])
+        mean, velocity, acceleration = kernels @ logarithms
+        np.testing.assert_allclose(mean, 0.0, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(samples.base_velocity[index], velocity, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(samples.base_acceleration[index], acceleration, rtol=0, atol=1e-6)
 
 
 def test_quaternions_may_be_rounded() -> None:
