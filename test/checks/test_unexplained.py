@@ -60,7 +60,7 @@ def test_what_is_left_of_little_or_not_judged_is_not_told_and_the_worst_comes_fi
 
 def test_what_is_planted_beside_links_and_friction_is_the_hint() -> None:
     """A coupling with another joint, a spring, and friction that drives; noise is nothing of these."""
-    of = case("arm7", 1)
+    of = case("arm3", 1)
     names, own = of.model.robot.joint_names, of.samples
     size = 3.0 * np.std(own.effort[:, 1])
     hidden = {
