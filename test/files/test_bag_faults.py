@@ -20,7 +20,7 @@ import yaml
 from commands.running import NO_CHOICE, done, found_only, refused
 from commands.running import read as document_of
 from rosbags.rosbag1 import Writer as Ros1Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.fuzz.mcap_writer import MAGIC, Form, Message, chunk, mcap, record, text
@@ -131,9 +131,7 @@ class TestTruncated:
     def test_a_file_that_ends_in_zeros_is_cut_off(self, tmp_path: Path) -> None:
         """As a disk may have them that lost its power."""
         data = file_of(Form())
-        path = tmp_path / "cut.mcap"
-        path.write_bytes(data[: chunk_ends(data)[3]] + bytes(100_000))
-        with Bag(path) as bag:
+        with Bag(file("cut.mcap", data[: chunk_ends(data)[3]] + bytes(100_000))(tmp_path)) as bag:
             assert bag.count(list(bag.topics)) == 40
             assert "the file ends before its footer" in bag.warnings[0]
 
@@ -212,20 +210,18 @@ class TestTruncated:
             )
 
     def test_the_command_reads_what_is_whole_and_says_so(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        """With status 0, and as from a bag that ends there."""
+        """With status 0. Case 98: that there are no checksums is not said, as nothing can be done about it."""
         found_only(monkeypatch)
-        data = file_of(Form(), 600)
-        cut, short, outs = tmp_path / "cut.mcap", tmp_path / "short.mcap", [tmp_path / "a", tmp_path / "b"]
-        cut.write_bytes(data[: chunk_ends(data)[49] + 50])
-        short.write_bytes(file_of(Form(), 500))
-        shown = " ".join(done("identify", cut, "--urdf", URDF, *NO_CHOICE, "--out", outs[0]).split())
-        done("identify", short, "--urdf", URDF, *NO_CHOICE, "--out", outs[1])
+        data = file_of(Form(checksums=False), 600)
+        path = tmp_path / "cut.mcap"
+        path.write_bytes(data[: chunk_ends(data)[49] + 50])
+        shown = " ".join(done("identify", path, "--urdf", URDF, *NO_CHOICE, "--out", tmp_path / "out").split())
         assert re.search(r"Warning: \S*cut.mcap: truncated at byte \d+", shown)
         assert "its 500 intact messages are read" in shown
-        (torn, told), (whole, none) = ((document_of(out), document_of(out)["warnings"]) for out in outs)
-        assert "truncated at byte" in told[0]
-        assert none == []
-        assert torn["links"] == whole["links"]
+        document = document_of(tmp_path / "out")
+        (warning,) = document["warnings"]
+        assert "truncated at byte" in warning
+        assert not any("CRC" in note for note in document["notes"])
 
 
 def split(folder: Path, storage: StoragePlugin, parts: list[list[Recorded]]) -> Path:
@@ -355,10 +351,9 @@ def test_what_is_no_bag_is_named(case: str, tmp_path: Path) -> None:
     assert not out.exists()
 
 
-@pytest.mark.parametrize("name", ["a.db3", "a.bag", "a"])
-def test_a_bag_is_what_its_first_bytes_say(name: str, tmp_path: Path) -> None:
-    data = file_of(Form(), 10)
-    assert content(file(name, data)(tmp_path)) == content(file("a.mcap", data)(tmp_path))
+def test_a_bag_is_what_its_first_bytes_say(tmp_path: Path) -> None:
+    for name in ("a.db3", "a.bag", "a"):
+        assert len(content(file(name, file_of(Form(), 10))(tmp_path))) == 10
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -412,22 +407,18 @@ class TestCrafted:
     """Case 62."""
 
     @pytest.mark.parametrize(
-        ("name", "data", "message"),
+        ("data", "message"),
         [
-            (
-                "zstd.mcap",
-                lambda: bomb("zstd"),
-                f"591000\\d+ bytes unpacked from \\d+, more than the maximum of {MOST_BYTES}",
-            ),
-            ("lz4.mcap", lambda: bomb("lz4"), "more than"),
-            ("lying.mcap", lying_bomb, "expected 1000 unpacked bytes, found more"),
+            (lambda: bomb("zstd"), f"591000\\d+ bytes unpacked from \\d+, more than the maximum of {MOST_BYTES}"),
+            (lambda: bomb("lz4"), "more than"),
+            (lying_bomb, "expected 1000 unpacked bytes, found more"),
         ],
         ids=["zstd", "lz4", "lying"],
     )
     def test_what_would_fill_the_memory_is_refused_before(
-        self, name: str, data: Callable[[], bytes], message: str, tmp_path: Path
+        self, data: Callable[[], bytes], message: str, tmp_path: Path
     ) -> None:
-        path = tmp_path / name
+        path = tmp_path / "bomb.mcap"
         path.write_bytes(data())
         assert path.stat().st_size < 3_000_000
         command = [sys.executable, "-c", OPEN_AND_MEASURE, str(path)]
@@ -473,15 +464,7 @@ class TestCrafted:
 
 @pytest.mark.usefixtures("found_only")
 class TestAsFound:
-    """Cases 98 to 100, and 106: recordings as people have them."""
-
-    def test_without_checksums_nothing_is_said(self, tmp_path: Path) -> None:
-        """Nothing can be done about it, and most converters write none."""
-        path = tmp_path / "a.mcap"
-        path.write_bytes(file_of(Form(checksums=False), 1200))
-        done("identify", path, "--urdf", URDF, *NO_CHOICE, "--out", tmp_path / "out")
-        assert document_of(tmp_path / "out")["warnings"] == []
-        assert not any("CRC" in note for note in document_of(tmp_path / "out")["notes"])
+    """Cases 99, 100 and 106: recordings as people have them."""
 
     def test_the_command_for_a_bag_of_ros_1_makes_one_that_is_read(self, tmp_path: Path) -> None:
         bag = ros1_bag(tmp_path / "old one.bag", MESSAGES[:600])
@@ -492,9 +475,8 @@ class TestAsFound:
         states = [item for item in MESSAGES[:600] if item.topic == "/joint_states"]
         with Bag(tmp_path / "old one") as converted:
             found = [(time, message) for _, time, message in converted.messages(["/joint_states"])]
-        assert [time for time, _ in found] == [item.time for item in states]
-        for (_, message), item in zip(found, states, strict=True):
-            assert message.name == item.message.name
+        for (time, message), item in zip(found, states, strict=True):
+            assert (time, message.name) == (item.time, item.message.name)
             assert message.header.stamp == item.message.header.stamp
             assert message.effort.tolist() == item.message.effort.tolist()
 
@@ -519,23 +501,6 @@ class TestAsFound:
         assert [time for _, time, _ in whole] == sorted(item.time for item in MESSAGES[:900])
         names = sorted((path.name for path in bag.glob("bag_*")), reverse=True)
         assert content(described(bag, relative_file_paths=names)) == whole
-
-    @pytest.mark.parametrize("mode", ["MESSAGE", "FILE"])
-    def test_lz4_is_read(self, mode: str, tmp_path: Path) -> None:
-        if mode == "FILE":
-            bag = with_metadata(compression_mode="FILE", compression_format="lz4")(tmp_path)
-            data = (bag / "bag.mcap").read_bytes()
-            (bag / "bag.mcap").write_bytes(lz4.frame.compress(data))
-            assert len(content(bag)) == 50
-            return
-        bag = tmp_path / "bag"
-        with Writer(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-            connection = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=TYPES)
-            raw = [bytes(TYPES.serialize_cdr(i.message, i.kind)) for i in MESSAGES[:80] if i.topic == "/joint_states"]
-            for index, data in enumerate(raw):
-                writer.write(connection, index, lz4.frame.compress(data))
-        described(bag, compression_mode="MESSAGE", compression_format="lz4")
-        assert [data for _, _, data in content(bag)] == raw
 
     def test_what_would_fill_the_disk_is_refused_before(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         bag = with_metadata(compression_mode="FILE", compression_format="zstd")(tmp_path)
@@ -594,17 +559,21 @@ class TestWhole:
         assert content(path) == by_rosbags(path)
 
     @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-    @pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.FILE, CompressionMode.MESSAGE])
-    def test_every_compression_of_a_bag(self, mode: CompressionMode, storage: StoragePlugin, tmp_path: Path) -> None:
-        writer = Writer(tmp_path / "bag", version=9, storage_plugin=storage)
-        writer.set_compression(mode, CompressionFormat.ZSTD)
-        with writer:
+    @pytest.mark.parametrize("mode", ["MESSAGE", "FILE"])
+    @pytest.mark.parametrize("method", ["zstd", "lz4"])
+    def test_every_compression_of_a_bag(self, method: str, mode: str, storage: StoragePlugin, tmp_path: Path) -> None:
+        pack = {"zstd": pytest.importorskip("backports.zstd").compress, "lz4": lz4.frame.compress}[method]
+        raw = [bytes(TYPES.serialize_cdr(item.message, item.kind)) for item in MESSAGES[1:160:2]]
+        bag = tmp_path / "bag"
+        with Writer(bag, version=9, storage_plugin=storage) as writer:
             connection = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=TYPES)
-            for item in MESSAGES[1:200:2]:
-                if item.topic == "/joint_states":
-                    writer.write(connection, item.time, bytes(TYPES.serialize_cdr(item.message, item.kind)))
-        assert content(tmp_path / "bag") == by_rosbags(tmp_path / "bag")
-        assert content(tmp_path / "bag")
+            for time, data in enumerate(raw):
+                writer.write(connection, time, pack(data) if mode == "MESSAGE" else data)
+        if mode == "FILE":
+            (path,) = bag.glob("bag.*")
+            path.write_bytes(pack(path.read_bytes()))
+        described(bag, compression_mode=mode, compression_format=method)
+        assert [data for _, _, data in content(bag)] == raw
 
     def test_chunks_that_overlap_are_read_in_the_order_of_recording(self, tmp_path: Path) -> None:
         times = list(range(1000, 1200))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("mask", [0o000, 0o022, 0o077])
+@pytest.mark.parametrize("mask", [0o000, 0o077])
 def test_it_is_for_its_owner_alone(mask: int, tmp_path: Path) -> None:
     """So are the folders that are made for it; one that was there stays as it is, and so does what is in it."""
     (tmp_path / "shared").mkdir()
@@ -46,12 +47,10 @@ def test_a_failure_leaves_what_was_there_and_nothing_else(
         raise error
 
     expected = GeomidError if isinstance(error, OSError) else KeyboardInterrupt
+    said = r"estimate.json: cannot be written \(No space left on device\)$" if isinstance(error, OSError) else None
     monkeypatch.setattr(os if step == "fsync" else Path, step, fail)
-    with pytest.raises(expected) as caught:
+    with pytest.raises(expected, match=said):
         write_text(path, "new")
-    assert "No space" not in str(error) or str(caught.value).endswith(
-        "estimate.json: cannot be written (No space left on device)"
-    )
     monkeypatch.undo()
     assert path.read_text() == BEFORE
     assert list(path.parent.iterdir()) == [path]
@@ -80,20 +79,17 @@ def test_it_is_on_the_disk_before_it_has_its_name_and_then_its_name_is(
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def test_a_folder_that_cannot_be_synchronised(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.EIO])
+def test_a_folder_that_cannot_be_synchronised(number: int, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some network file systems have no such thing; a disk that fails is another matter."""
-    for number in (errno.EINVAL, errno.EIO):
 
-        def sync(descriptor: int, number: int = number) -> None:
-            if stat.S_ISDIR(os.fstat(descriptor).st_mode):
-                raise OSError(number, os.strerror(number))
+    def sync(descriptor: int) -> None:
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            raise OSError(number, os.strerror(number))
 
-        monkeypatch.setattr(os, "fsync", sync)
-        if number == errno.EINVAL:
-            write_text(path, "new")
-        else:
-            with pytest.raises(GeomidError, match="Input/output error"):
-                write_text(path, "newer")
+    monkeypatch.setattr(os, "fsync", sync)
+    with pytest.raises(GeomidError, match="Input/output error") if number == errno.EIO else nullcontext():
+        write_text(path, "new")
 
 
 def test_text_that_has_no_bytes_is_refused(path: Path) -> None:
@@ -111,19 +107,13 @@ def test_a_folder_that_cannot_be_made_is_named(path: Path) -> None:
     assert path.read_text() == BEFORE
 
 
-def fail_midway(folder: Path) -> None:
-    with staged(folder) as stage:
-        write_text(stage / "a", "other")
-        write_text(stage / "none" / ".." / "a" / "b", "a file is no folder")
-
-
 @pytest.mark.parametrize("there", [False, True])
 def test_a_stage_that_fails_leaves_what_was_there(there: bool, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     if there:
         write_text(folder / "a", "kept")
-    with pytest.raises(GeomidError, match=rf"^{folder}/.*cannot be written"):
-        fail_midway(folder)
+    with pytest.raises(GeomidError, match=rf"^{folder}/.*cannot be written"), staged(folder) as stage:
+        (write_text(stage / "a", "other"), write_text(stage / "a" / "b", "a file is no folder"))
     assert folder.exists() == there
     assert not there or [path.read_text() for path in folder.iterdir()] == ["kept"]
 

@@ -111,7 +111,7 @@ def test_efforts_are_freed_of_gain_and_delay(tmp_path: Path, delay: float) -> No
     """measured(t) = gain true(t - delay), and messages are in halves of a newton metre."""
     known = [effect("effort_gain", "joint1", gain=1.25), effect("effort_delay", delay=delay)]
     session = session_with(tmp_path, known, **{"joint.joint1.effort_gain": 0.5})
-    stamps = 1000.0 + 0.01 * np.arange(400)
+    stamps = 1000.0 + 0.01 * np.arange(250)
     samples = pushed(session, stamps, 2.0 * 1.25 * np.sin(4.0 * (stamps - delay)))
     np.testing.assert_allclose(samples.effort[:, 0], np.sin(4.0e-9 * samples.stamps), atol=2e-3)
 
@@ -126,7 +126,7 @@ def test_wrenches_are_freed_of_their_offset(tmp_path: Path) -> None:
     assert first.offset == (1.0, 0.0, 0.0, 0.0, 0.0, -2.0)
     assert second.offset == (0.0,) * 6
     true = np.arange(1.0, 7.0)
-    for index in range(250):
+    for index in range(150):
         stamp = 1_000_000_000_000 + 10_000_000 * index
         session.pipeline.push(JointMessage(stamp, session.robot.joint_names, [0.0] * 3, [], []))
         session.pipeline.push(WrenchMessage("/wrench", stamp, "wrist_ft", -(true + np.array(first.offset))))
@@ -230,15 +230,10 @@ def test_a_negative_excess_of_an_older_file_is_predicted_and_no_prior(tmp_path: 
 @pytest.mark.parametrize(
     ("added", "message"),
     [
-        (3, "added is 3"),
         ([{"effect": "springs"}], r"added\[0\]: unknown effect 'springs'"),
         (
             [{"effect": "effort_delay", "parameters": {}}],
             r"added\[0\] \(effort_delay\): parameters: delay is not given",
-        ),
-        (
-            [{"effect": "payload", "link": "hand", "parameters": {"mass": {"value": 1.0, "unit": "kg"}}}],
-            r"added\[0\] \(payload\): parameters: com_x is not given",
         ),
         ([to_document(effect("payload", "hand", **PAYLOAD))], "unknown link with a payload 'hand'.*link3"),
     ],
@@ -251,25 +246,22 @@ def test_what_cannot_be_used_is_named(tmp_path: Path, added: Any, message: str) 
 
 
 def test_information_stands_where_the_links_of_the_robot_stand(tmp_path: Path) -> None:
-    """Whatever their order in the file; of links that are not looked for it needs to say nothing."""
+    """Whatever their order in the file; of links that are not looked for it needs to say nothing. If it took other
+    links for known, it is left."""
     names = ["link2", "link3", "link1"]
     found = estimate_of(*(link_estimate(name, merged) for name, merged in zip(names, [(), ("tool",), ()], strict=True)))
-    write_json(tmp_path / "estimate.json", estimate_document(found, {}))
-    values = {"model": str(tmp_path / "estimate.json")}
-    all_links = Session(ARM, Configuration(values, "test"), "arm3.urdf")
-    some = Session(ARM, Configuration(values | {"links": ["link1", "link3"]}, "test"), "arm3.urdf")
     by_name = dict(zip(names, np.split(found.information.rows, 3, axis=1), strict=True))
-    for session, expected in ((all_links, ["link1", "link2", "link3"]), (some, ["link1", "link3"])):
+    values = {"model": str(tmp_path / "estimate.json")}
+    write_json(tmp_path / "estimate.json", estimate_document(found, {}))
+    for links in (["link1", "link2", "link3"], ["link1", "link3"]):
+        session = Session(ARM, Configuration({**values, "links": links}, "test"), "arm3.urdf")
         known = session.loaded.information(session.model)
         assert known is not None
-        np.testing.assert_allclose(known.rows, np.hstack([by_name[name] for name in expected]), rtol=1e-6)
+        np.testing.assert_allclose(known.rows, np.hstack([by_name[name] for name in links]), rtol=1e-6)
         np.testing.assert_allclose(known.residuals, found.information.residuals, rtol=1e-6)
-
-
-def test_information_that_took_other_links_for_known_is_left(tmp_path: Path) -> None:
-    found = estimate_of(link_estimate("link3", ("tool",)), link_estimate("link1"))
-    write_json(tmp_path / "estimate.json", estimate_document(found, {}))
-    session = Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
+    fewer = estimate_of(link_estimate("link3", ("tool",)), link_estimate("link1"))
+    write_json(tmp_path / "estimate.json", estimate_document(fewer, {}))
+    session = Session(ARM, Configuration(values, "test"), "arm3.urdf")
     assert session.loaded.information(session.model) is None
 
 
@@ -304,7 +296,6 @@ def test_joints_that_were_locked_for_the_model_are_locked_beside_it(tmp_path: Pa
     [
         (0.0, "0, expected a number above 0 and below 9"),
         (9.5, "9.5, expected a number above 0 and below 9"),
-        (None, "nan, expected a number above 0"),
         (float("nan"), "nan, expected a finite number"),
         ("slow", "'slow', expected a finite number"),
     ],

@@ -23,7 +23,7 @@ from .recordings import BAGS
 
 EXACT = 1e-10  # relative: everything is written to the last bit
 DIGITS = 1e-7  # relative: nine digits are written in a URDF
-ROBOTS = ["arm3", "arm7", "ur5_robot.urdf", "panda.urdf"]
+ROBOTS = ["arm7", "ur5_robot.urdf", "panda.urdf"]
 
 
 def description(name: str) -> str:
@@ -57,29 +57,21 @@ def assert_equal(found: FloatArray, expected: FloatArray, tolerance: float) -> N
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_the_dynamics_are_those_of_pinocchio(name: str) -> None:
-    robot = Robot(description(name))
+def test_dynamics_ranges_efforts_and_names_are_the_urdfs(name: str) -> None:
+    robot, reference = Robot(description(name)), Reference(description(name))
     samples = random_samples(robot, 3)
-    _, expected = Reference(description(name)).inverse_dynamics(samples, robot.joint_names)
-    model = without_stops(compiled(mjcf(robot, {})))
-    assert_equal(efforts(model, samples, robot.joint_names), expected, EXACT)
-    assert model.body_mass.sum() == pytest.approx(sum(own[0] for own in robot.tree.inertials.values()))
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_ranges_efforts_and_names_are_the_urdfs(name: str) -> None:
-    robot = Robot(description(name))
-    reference = Reference(description(name)).model
+    _, expected = reference.inverse_dynamics(samples, robot.joint_names)
     model = compiled(mjcf(robot, {}))
     for joint in robot.joints:
-        index, dof = (getattr(reference.joints[reference.getJointId(joint.name)], i) for i in ("idx_q", "idx_v"))
-        np.testing.assert_array_equal(
-            model.joint(joint.name).range, [reference.lowerPositionLimit[index], reference.upperPositionLimit[index]]
-        )
-        assert model.actuator(joint.name).ctrlrange[1] == reference.effortLimit[dof]
+        own = reference.model.joints[reference.model.getJointId(joint.name)]
+        limits = [reference.model.lowerPositionLimit[own.idx_q], reference.model.upperPositionLimit[own.idx_q]]
+        np.testing.assert_array_equal(model.joint(joint.name).range, limits)
+        assert model.actuator(joint.name).ctrlrange[1] == reference.model.effortLimit[own.idx_v]
     assert {body.name for body in map(model.body, range(1, model.nbody))} == {
         "world_link" if link == "world" else link for link in robot.tree.links
     }
+    assert model.body_mass.sum() == pytest.approx(sum(own[0] for own in robot.tree.inertials.values()))
+    assert_equal(efforts(without_stops(model), samples, robot.joint_names), expected, EXACT)
 
 
 @pytest.fixture(scope="module")
@@ -87,23 +79,18 @@ def arm() -> Robot:
     return Robot(description("arm3"))
 
 
-def difference(robot: Robot, samples: Samples, *effects: Any) -> FloatArray:
-    """What effects add to the efforts ``(N, joints)``."""
-    with_them, without = (without_stops(compiled(mjcf(robot, {}, given))) for given in (effects, ()))
-    return efforts(with_them, samples, robot.joint_names) - efforts(without, samples, robot.joint_names)
-
-
 def test_joint_effects_follow_their_formulas(arm: Robot) -> None:
     samples = random_samples(arm, 6, count=50)
     q, v, a = samples.position[:, 1], samples.velocity[:, 1], samples.acceleration[:, 1]
     assert np.min(np.abs(v)) > 1e-3
-    cases = {
-        "viscous_friction": ({"coefficient": 0.7}, 0.7 * v),
-        "rotor_inertia": ({"inertia": 0.3}, 0.3 * a),
-        "spring": ({"stiffness": 11.0, "equilibrium": 0.4}, 11.0 * (q - 0.4)),
-    }
-    for name, (parameters, expected) in cases.items():
-        found = difference(arm, samples, effect(name, "joint2", **parameters))
+    cases = [
+        (effect("viscous_friction", "joint2", coefficient=0.7), 0.7 * v),
+        (effect("rotor_inertia", "joint2", inertia=0.3), 0.3 * a),
+        (effect("spring", "joint2", stiffness=11.0, equilibrium=0.4), 11.0 * (q - 0.4)),
+    ]
+    without = efforts(without_stops(compiled(mjcf(arm, {}))), samples, arm.joint_names)
+    for known, expected in cases:
+        found = efforts(without_stops(compiled(mjcf(arm, {}, [known]))), samples, arm.joint_names) - without
         assert_equal(found[:, 1], expected, EXACT)
         np.testing.assert_allclose(found[:, [0, 2]], 0.0, atol=1e-12)
 

@@ -52,16 +52,13 @@ def written(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_is_written_is_read(written: Path) -> None:
+def test_what_is_written_is_read(written: Path, tmp_path: Path) -> None:
     found, expected = read_posterior(written), posterior()
     for field in fields(Posterior):
         read, made = (getattr(each, field.name) for each in (found, expected))
         assert np.array_equal(read, made) if isinstance(made, np.ndarray) else read == made
     assert not found.covariance.flags.writeable
-
-
-def test_the_same_posterior_makes_the_same_bytes(tmp_path: Path, written: Path) -> None:
-    write_posterior(tmp_path / "again.npz", posterior())
+    write_posterior(tmp_path / "again.npz", expected)
     assert (tmp_path / "again.npz").read_bytes() == written.read_bytes()
 
 
@@ -117,13 +114,11 @@ def with_a_member_that_is_no_array(path: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
-        (lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 3]), "cannot be read"),
         (lambda path: path.write_bytes(path.read_bytes()[:-1]), "cannot be read"),
         (flipped, "cannot be read"),
         (lambda path: np.savez_compressed(path, posterior=np.zeros(10**6)), "compressed"),
         (claims_more_than_memory, "cannot be read"),
         (with_a_member_that_is_no_array, "not an array"),
-        (lambda path: path.write_text("{}"), "cannot be read"),
         (Path.unlink, "cannot be read"),
     ],
 )
@@ -153,8 +148,14 @@ def with_remainder(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_the_model_lacks_is_read_as_it_was_written(with_remainder: Path) -> None:
-    found, expected = read_remainder(with_remainder), remainder()
+@pytest.mark.parametrize("known", [SIZES[0], 0])
+def test_what_the_model_lacks_is_read_as_it_was_written(known: int, tmp_path: Path) -> None:
+    """Nothing may be known of a channel."""
+    own, path = remainder(), tmp_path / POSTERIOR
+    means, triangles = (own.means[0][:known], own.means[1]), (own.triangles[0][:known, :known], own.triangles[1])
+    expected = replace(own, means=means, triangles=triangles)
+    write_posterior(path, posterior(), expected)
+    found = read_remainder(path)
     assert found is not None
     assert (found.joints, found.channels) == (expected.joints, expected.channels)
     assert np.array_equal(found.basis.knots, expected.basis.knots)
@@ -162,7 +163,7 @@ def test_what_the_model_lacks_is_read_as_it_was_written(with_remainder: Path) ->
         assert all(map(np.array_equal, each, own))
     for read, made in zip(found.triangles, expected.triangles, strict=True):
         np.testing.assert_allclose(read, made, rtol=1e-6)
-    assert np.array_equal(read_posterior(with_remainder).covariance, posterior().covariance)
+    assert np.array_equal(read_posterior(path).covariance, posterior().covariance)
 
 
 def test_what_would_be_refused_is_not_written(tmp_path: Path) -> None:
@@ -175,19 +176,6 @@ def test_what_would_be_refused_is_not_written(tmp_path: Path) -> None:
         write_posterior(path, posterior(), wrong)
         assert read_remainder(path) is None
         assert np.array_equal(read_posterior(path).covariance, posterior().covariance)
-
-
-def test_a_channel_of_which_nothing_is_known_is_kept_as_such(tmp_path: Path) -> None:
-    own, path = remainder(), tmp_path / POSTERIOR
-    write_posterior(
-        path,
-        posterior(),
-        replace(own, means=(np.zeros(0), own.means[1]), triangles=(np.zeros((0, 0)), own.triangles[1])),
-    )
-    found = read_remainder(path)
-    assert found is not None
-    assert [len(mean) for mean in found.means] == [0, SIZES[1]]
-    assert [len(scales) for scales in found.basis.scales] == list(SIZES)
 
 
 def test_files_without_it_are_read(written: Path) -> None:
@@ -291,10 +279,8 @@ def test_what_no_fleet_writes_is_refused(of_fleet: Path, change: Callable[[dict[
 
 
 def test_a_covariance_that_is_none_is_refused(tmp_path: Path) -> None:
-    found = population()
-    wrong = found.covariance.copy()
+    wrong = population().covariance.copy()
     wrong[0, 1] = wrong[1, 0] = 10.0
-    broken = Population(**{f.name: getattr(found, f.name) for f in fields(Population)} | {"covariance": wrong})
-    write_population(tmp_path / "population.json", broken)
+    write_population(tmp_path / "population.json", replace(population(), covariance=wrong))
     with pytest.raises(InputError, match="none that robots can have"):
         read_population(tmp_path / "population.json")

@@ -78,7 +78,6 @@ GOOD: dict[str, Any] = {"count": 1, "centre": [0, 0, 1.5], "inner": [{"name": "x
     [
         ({"count": -1}, "file: count is -1, expected a count"),
         ({"count": True}, "file: count is True, expected a count"),
-        ({"count": 2**63}, "expected a count"),
         ({"centre": [0, 1]}, r"file: centre is \[0, 1\], expected finite numbers, 3"),
         ({"centre": [0, 1, math.inf]}, "expected finite numbers"),
         ({"inner": {}}, "file: inner is {}, expected a list"),
@@ -104,7 +103,6 @@ def test_what_cannot_be_names_its_key_and_what_is_expected(changes: dict[str, An
 
 RANDOM = np.random.default_rng(0)
 MATRICES = {
-    "full": RANDOM.normal(size=(3, 3)),
     "upper": np.triu(RANDOM.normal(size=(3, 3))),
     "wide upper": np.triu(RANDOM.normal(size=(2, 5))),
     "tall": np.vstack([np.triu(RANDOM.normal(size=(2, 2))), np.zeros((2, 2))]),
@@ -149,11 +147,6 @@ def test_what_is_no_array_is_refused(value: object, message: str) -> None:
 
 def test_a_triangle_without_numbers_is_refused_unmade() -> None:
     """However large it claims to be; an empty array is none."""
-    empty = np.zeros((0, 7))
-    assert from_document(Kept, unarchived(archived({"arrays": {"x": empty}, "files": {}})), "").arrays["x"].shape == (
-        0,
-        7,
-    )
     text, vectors = unpack(archived({"arrays": {"x": np.zeros(0)}, "files": {}}))
     claimed = text.replace('"shape": [0]', f'"shape": [0, {10**11}], "triangle": true')
     assert claimed != text

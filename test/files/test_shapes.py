@@ -57,6 +57,10 @@ def saved(mesh: trimesh.Trimesh, path: Path) -> Path:
 
 
 class TestPrimitives:
+    def test_a_frame_has_none(self) -> None:
+        assert read('<inertial><mass value="1"/></inertial>') == (None, [])
+        assert read('<collision name="empty"/>') == (None, [])
+
     @pytest.mark.parametrize(
         ("geometry", "own"),
         [
@@ -89,12 +93,6 @@ class TestPrimitives:
         with pytest.raises(InputError) as caught:
             read(element(geometry))
         assert str(caught.value).startswith(f"robot.urdf: link 'arm': {message}")
-
-
-class TestChoice:
-    def test_a_frame_has_none(self) -> None:
-        assert read('<inertial><mass value="1"/></inertial>') == (None, [])
-        assert read('<collision name="empty"/>') == (None, [])
 
 
 class TestUnion:
@@ -223,10 +221,8 @@ class TestFinding:
     def test_paths_and_file_uris(self, tmp_path: Path) -> None:
         mesh, urdf = self.mesh(tmp_path / "my meshes/a.stl"), tmp_path / "urdf/robot.urdf"
         urdf.parent.mkdir()
-        assert self.found("../my meshes/a.stl", urdf).resolve() == mesh
-        assert self.found(str(mesh), urdf) == mesh
-        assert self.found(f"file://{mesh}", urdf) == mesh
-        assert self.found(mesh.as_uri(), urdf) == mesh
+        for uri in ("../my meshes/a.stl", str(mesh), f"file://{mesh}", mesh.as_uri()):
+            assert self.found(uri, urdf).resolve() == mesh
 
     @pytest.mark.parametrize(
         ("variable", "listed", "inside"),

@@ -57,16 +57,11 @@ def test_a_bag_comes_back_as_it_was_written(tmp_path: Path) -> None:
         np.testing.assert_allclose(getattr(found, name), getattr(given, name), atol=1e-9)
 
 
-@pytest.mark.parametrize("efforts", [True, False])
-@pytest.mark.parametrize("accelerations", [True, False])
+@pytest.mark.parametrize(("efforts", "accelerations"), [(True, True), (False, True), (False, False)])
 def test_a_file_says_what_a_trajectory_has(efforts: bool, accelerations: bool, tmp_path: Path) -> None:
-    none = np.zeros((9, 0))
-    given = with_efforts()
-    given = replace(
-        given,
-        efforts=given.efforts if efforts else none,
-        accelerations=given.accelerations if accelerations else none,
-    )
+    none, given = np.zeros((9, 0)), with_efforts()
+    given = given if efforts else replace(given, efforts=none)
+    given = given if accelerations else replace(given, accelerations=none)
     for suffix in ("yaml", "csv"):
         save_trajectory(tmp_path / f"trajectory.{suffix}", given)
     (first, *_) = yaml.safe_load((tmp_path / "trajectory.yaml").read_text())["points"]
@@ -99,10 +94,9 @@ def written(folder: Path, topics: dict[str, int]) -> Path:
 
 
 BAGS_REFUSED = {
-    "none": ({"/states": 0}, None, "no message on /states has points"),
+    "no points": ({"/plan": 1}, None, "no message on /plan has points"),
     "two topics": ({"/plan": 4, "/other": 4}, None, "found /plan, /other; --topic names one"),
     "no such topic": ({"/plan": 4}, "/path", "has no topic /path; --topic names another"),
-    "no points": ({"/plan": 1}, None, "no message on /plan has points"),
 }
 
 
@@ -111,15 +105,6 @@ def test_a_bag_without_a_trajectory_is_refused(case: str, tmp_path: Path) -> Non
     topics, topic, said = BAGS_REFUSED[case]
     with pytest.raises(InputError, match=said):
         trajectory_in_bag(written(tmp_path / "bag", topics), topic)
-
-
-def test_one_without_velocities_is_refused(tmp_path: Path) -> None:
-    document = bump(JOINTS, 4.0).document(9)
-    for point in document["points"]:
-        del point["velocities"], point["accelerations"]
-    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(document))
-    with pytest.raises(InputError, match=r"plan\.yaml: point 0 has no velocities: from position to position the speed"):
-        read_trajectory(tmp_path / "plan.yaml")
 
 
 def test_a_folder_that_is_no_bag_is_left_as_it_is(tmp_path: Path) -> None:
@@ -136,14 +121,23 @@ def test_a_folder_that_is_no_bag_is_left_as_it_is(tmp_path: Path) -> None:
         save_trajectory(tmp_path / "bag", with_efforts())
 
 
-def test_a_list_that_was_cut_by_topic_echo_says_so(tmp_path: Path) -> None:
+def without_velocities(point: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in point.items() if key not in ("velocities", "accelerations")}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (without_velocities, "point 5 has no velocities: from position to position the speed"),
+        (lambda _: "...", "point 5 is incomplete.*--full-length"),
+        (lambda point: {**point, "positions": "12"}, "point 5 is incomplete; expected lists of numbers"),
+    ],
+)
+def test_a_point_that_lacks_something_is_named(
+    change: Callable[[dict[str, Any]], Any], said: str, tmp_path: Path
+) -> None:
     document = bump(JOINTS, 4.0).document(9)
-    document["points"][5] = "..."
+    document["points"][5] = change(document["points"][5])
     (tmp_path / "plan.yaml").write_text(yaml.safe_dump(document))
-    with pytest.raises(InputError, match=r"point 5 is incomplete.*--full-length"):
-        read_trajectory(tmp_path / "plan.yaml")
-    document = bump(JOINTS, 4.0).document(9)
-    document["points"][5]["positions"] = "12"
-    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(document))
-    with pytest.raises(InputError, match="point 5 is incomplete; expected lists of numbers"):
+    with pytest.raises(InputError, match=rf"plan\.yaml: {said}"):
         read_trajectory(tmp_path / "plan.yaml")
