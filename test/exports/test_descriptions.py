@@ -151,13 +151,6 @@ def test_drake_predicts_what_geomid_does(tmp_path: Path) -> None:
         np.testing.assert_allclose(plant.CalcInverseDynamics(context, motion[2], forces), efforts, atol=DIGITS)
 
 
-def test_gazebo_has_springs(tmp_path: Path) -> None:
-    (gazebo,) = ET.fromstring(exported(written(tmp_path, [SPRING]), "gazebo")).findall("gazebo")
-    assert gazebo.get("reference") == "joint2"
-    said = {child.tag: float(child.text or "nan") for child in gazebo}
-    assert said == {"springStiffness": 3.0, "springReference": 0.5}
-
-
 LOAD = effect("load_friction", "joint3", coefficient=0.1)
 CANNOT = {
     "urdf": {"rotor inertia of joint2", "spring of joint2"},
@@ -178,6 +171,8 @@ def test_what_a_format_cannot_say_is_said(tool: str, tmp_path: Path) -> None:
     assert said == CANNOT[tool] | {"load friction of joint3"}
     assert sentence in whole.text
     assert any("ignores <dynamics>" in each for each in whole.omissions) == (tool == "isaac")
+    springs = {child.tag: child.text for own in ET.fromstring(whole.text).iter("gazebo") for child in own}
+    assert springs == ({"springStiffness": "3", "springReference": "0.5"} if tool == "gazebo" else {})
 
 
 def test_shapes_come_along_as_far_as_their_meshes_are_found(tmp_path: Path) -> None:
@@ -255,13 +250,13 @@ def test_a_spring_in_degrees_and_what_others_count_in(tmp_path: Path) -> None:
     own = tmp_path / "own.xml"
     degrees = re.sub('limited="true" range="[^"]*"|inertiafromgeom="false"', "", degrees)
     own.write_text(re.sub('(<body name="tool"[^>]*)/>', r'\1><geom size="0.1"/></body>', degrees))
-    joint = mujoco.MjModel.from_xml_string(patch_user_mjcf(model, own).text).joint("joint2")
+    whole = patch_user_mjcf(model, own)
+    compiled = mujoco.MjModel.from_xml_string(whole.text)
+    joint = compiled.joint("joint2")
     np.testing.assert_allclose([joint.stiffness[0], joint.qpos_spring[0]], [3.0, 0.5])
     assert "tool" in model.bodies["link3"].merged
-    whole = patch_user_mjcf(model, own)
-    masses = mujoco.MjModel.from_xml_string(whole.text)
-    assert masses.body("tool").mass[0] == 0.0
-    assert masses.body("link3").mass[0] == pytest.approx(model.bodies["link3"].mass)
+    assert compiled.body("tool").mass[0] == 0.0
+    assert compiled.body("link3").mass[0] == pytest.approx(model.bodies["link3"].mass)
     assert any("tool" in sentence for sentence in whole.omissions)
 
 
@@ -339,17 +334,6 @@ def test_a_joint_that_was_locked_moves_its_link(factor: float, tool: str, tmp_pa
         assert expected is None or found == pytest.approx(expected)
 
 
-def test_another_robot_is_refused(tmp_path: Path) -> None:
-    model, own = written(tmp_path, EFFECTS), tmp_path / "own.xml"
-    text = mjcf(Robot(URDF), {})
-    own.write_text(text.replace('name="joint3"', 'name="joint3" pos="0.1 0.1 0.1"', 1))
-    with pytest.raises(InputError, match=r"own.xml: with all joints at zero.*\(joint3\)"):
-        patch_user_mjcf(model, own)
-    own.write_text(re.sub(r'name="(link\d|tool)"', r'name="other_\1"', text))
-    with pytest.raises(InputError, match="has none of the bodies link1, link2, link3; those that it has: base_link"):
-        patch_user_mjcf(model, own)
-
-
 TAKEN = (
     '<link name="link3_payload"/><joint name="link3_payload" type="fixed"><parent link="link3"/>'
     '<child link="link3_payload"/></joint></robot>'
@@ -367,15 +351,25 @@ def test_a_payload_is_carried_by_its_link(end: str, name: str, tmp_path: Path) -
     assert model.bodies[name].std[0] == pytest.approx(PAYLOAD["mass"] / 10.0)
 
 
-def test_a_file_that_only_mujoco_can_read_is_refused(tmp_path: Path) -> None:
-    """Its names in an included file, and an attribute said twice."""
-    model, own = written(tmp_path, EFFECTS), tmp_path / "own.xml"
-    text = mjcf(Robot(URDF), {})
-    body = text[text.index("<body") : text.rindex("</worldbody>")]
-    (tmp_path / "part.xml").write_text(f"<mujoco>{body}</mujoco>")
-    own.write_text(text.replace(body, '<include file="part.xml"/>'))
-    with pytest.raises(InputError, match=r"own.xml: 'link1' is not in this file itself"):
-        patch_user_mjcf(model, own)
-    own.write_text(text.replace("<worldbody>", '<worldbody><geom size="1" pos="0 0 9" contype="0" contype="0"/>'))
-    with pytest.raises(InputError, match=r"own.xml: (not valid XML|MuJoCo cannot read)"):
-        patch_user_mjcf(model, own)
+TEXT = mjcf(Robot(URDF), {})
+BODY = TEXT[TEXT.index("<body") : TEXT.rindex("</worldbody>")]
+
+
+@pytest.mark.parametrize(
+    ("own", "said"),
+    [
+        (TEXT.replace('name="joint3"', 'name="joint3" pos="0.1 0.1 0.1"', 1), r"with all joints at zero.*\(joint3\)"),
+        (
+            re.sub(r'name="(link\d|tool)"', r'name="other_\1"', TEXT),
+            "has none of the bodies link1, link2, link3",
+        ),
+        (TEXT.replace(BODY, '<include file="part.xml"/>'), "'link1' is not in this file itself"),
+        (TEXT.replace("<worldbody>", '<worldbody><geom size="1" size="1"/>'), "(not valid XML|MuJoCo cannot read)"),
+    ],
+    ids=["another posture", "other names", "an included file", "an attribute twice"],
+)
+def test_a_file_of_another_robot_or_that_only_mujoco_can_read_is_refused(own: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "part.xml").write_text(f"<mujoco>{BODY}</mujoco>")
+    (tmp_path / "own.xml").write_text(own)
+    with pytest.raises(InputError, match=f"own.xml.*{said}"):
+        patch_user_mjcf(written(tmp_path, EFFECTS), tmp_path / "own.xml")

@@ -90,14 +90,6 @@ def test_calls_of_the_ur_driver(payload: Export) -> None:
     assert all(type(leaf) is float for own in (with_inertia, without) for leaf in leaves(own))
 
 
-def test_a_ur_takes_no_larger_inertia(payload: Export) -> None:
-    quantities = payload.inertial.quantities.copy()
-    quantities[[4, 6, 9]] = 134.0
-    heavy = Export("ship", "tool0", replace(payload.inertial, parameters=pseudo_inertia.parameters_of(quantities)))
-    with pytest.raises(InputError, match="ship: its inertia is beyond the 133 kg m"):
-        formats.ur_commands(heavy)
-
-
 def test_libfranka_and_its_service(payload: Export) -> None:
     text = formats.franka_commands(payload)
     call = re.fullmatch(r"robot\.setLoad\((.*), \{\{(.*)\}\}, \{\{(.*)\}\}\);", line(text, "robot.setLoad"))
@@ -156,9 +148,14 @@ def test_a_name_cannot_leave_its_comment(tmp_path: Path) -> None:
         assert "base\nreboot" not in text
 
 
-def test_a_link_that_cannot_exist_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_exist_or_a_robot_does_not_take_is_refused(payload: Export, tmp_path: Path) -> None:
     urdf = tmp_path / "flat.urdf"
     inertial = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="3"/></inertial>'
     urdf.write_text(f'<robot name="r"><link name="sheet">{inertial}</link></robot>')
     with pytest.raises(InputError, match="link 'sheet': its mass is 1 kg, but its principal moments"):
         each_link(read_model(urdf))
+    quantities = payload.inertial.quantities.copy()
+    quantities[[4, 6, 9]] = 134.0
+    heavy = Export("ship", "tool0", replace(payload.inertial, parameters=pseudo_inertia.parameters_of(quantities)))
+    with pytest.raises(InputError, match="ship: its inertia is beyond the 133 kg m"):
+        formats.ur_commands(heavy)

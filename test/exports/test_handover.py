@@ -296,25 +296,29 @@ def dynamics(description: str) -> list[dict[str, str]]:
     return [element.attrib for element in ElementTree.fromstring(description).iter("dynamics")]
 
 
-def test_an_earlier_estimate_is_exported_as_not_fitted(tmp_path: Path) -> None:
-    """Its description has the estimate's own inertias."""
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
     save(found().session, tmp_path, found().estimate)
-    document = json.loads((tmp_path / "estimate.json").read_text())
+    return tmp_path / "estimate.json"
+
+
+def test_an_earlier_estimate_is_exported_as_not_fitted(saved: Path) -> None:
+    """Its description has the estimate's own inertias."""
+    document = json.loads(saved.read_text())
     del document["handover"]
-    (tmp_path / "estimate.json").write_text(json.dumps(document))
+    saved.write_text(json.dumps(document))
     inertias = {link.name: link.parameters for link in found().links}
     merged = [name for link in found().links for name in link.merged]
-    (tmp_path / "identified.urdf").write_text(with_inertials(found().session.urdf, inertias, merged))
-    assert not read_model(tmp_path / "estimate.json", "mujoco").fitted
+    saved.with_name("identified.urdf").write_text(with_inertials(found().session.urdf, inertias, merged))
+    assert not read_model(saved, "mujoco").fitted
 
 
-def test_a_model_for_a_reader_has_the_links_of_the_estimate(tmp_path: Path) -> None:
-    save(found().session, tmp_path, found().estimate)
-    document = json.loads((tmp_path / "estimate.json").read_text())
+def test_a_model_for_a_reader_has_the_links_of_the_estimate(saved: Path) -> None:
+    document = json.loads(saved.read_text())
     document["handover"]["mujoco"]["links"][0]["name"] = "other"
-    (tmp_path / "estimate.json").write_text(json.dumps(document))
+    saved.write_text(json.dumps(document))
     with pytest.raises(InputError, match=r"handover for mujoco: its links are link2, link3, other; expected link1"):
-        read_model(tmp_path / "estimate.json", "mujoco")
+        read_model(saved, "mujoco")
 
 
 def test_moveit_reads_what_is_written_for_any_reader_of_a_urdf() -> None:
@@ -348,7 +352,7 @@ def test_mujoco_feels_a_coupling_at_both_joints(ratio: float) -> None:
 
 
 def test_under_the_recorded_commands_the_written_robot_is_where_the_measured_one_is(tmp_path: Path) -> None:
-    recording = SimulationOptions(robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=(), commands=True)
+    recording = SimulationOptions(robot="arm3", seed=5, duration=8.0, longest_step=QUICK, hide=(), commands=True)
     simulate(tmp_path / "bag", recording)
     result = geomid_ros.identify(tmp_path / "bag", BAGS / "arm3.urdf", reader="mujoco", command="joint_commands")
     tracking = result.tracking

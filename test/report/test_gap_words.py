@@ -40,12 +40,9 @@ def test_values_are_as_exact_as_they_are_known(quantity: Quantity, text: str, ra
     assert interval(quantity, "offset", "effort_offset") == range_
 
 
-def test_the_interval_of_what_cannot_be_negative_begins_at_zero() -> None:
-    assert interval(Quantity(0.0017, 0.003, "kg m^2"), "inertia", "rotor_inertia") == "0.0000 to 0.0076"
-
-
 def test_the_interval_holds_95_percent() -> None:
-    """Of a normal distribution."""
+    """Of a normal distribution; that of what cannot be negative begins at zero."""
+    assert interval(Quantity(0.0017, 0.003, "kg m^2"), "inertia", "rotor_inertia") == "0.0000 to 0.0076"
     low, high = map(float, interval(Quantity(0.0, 1.0, "m"), "offset", "effort_offset").split(" to "))
     draws = np.random.default_rng(0).normal(size=200_000)
     assert np.mean((draws > low) & (draws < high)) == pytest.approx(0.95, abs=0.005)
@@ -97,9 +94,8 @@ def test_of_several_sizes_of_one_kind_the_one_that_is_told_is_said() -> None:
     [((1.10, 1.11, 1.12), True), ((1.10, 1.11, 1.30), False), ((1.10, 1.11), False)],
     ids=["alike", "not alike", "not at all joints"],
 )
-@pytest.mark.parametrize("wrench", [False, True])
-def test_a_gain_of_all_joints_is_said_once(gains: tuple[float, ...], alike: bool, wrench: bool) -> None:
-    named = gap_result("named", JOINTS, wrench=wrench)
+def test_a_gain_of_all_joints_is_said_once(gains: tuple[float, ...], alike: bool) -> None:
+    named = gap_result("named", JOINTS, wrench=True)
     (finding,) = named.findings
     found = [
         replace(finding, effect="effort_gain", joint=joint, parameters={"gain": Quantity(gain, 0.01, "-")})
@@ -110,16 +106,12 @@ def test_a_gain_of_all_joints_is_said_once(gains: tuple[float, ...], alike: bool
     assert ("Effort gain at hip" in said) is not alike
 
 
-def test_the_verdict_names_effect_place_and_success() -> None:
+def test_the_verdict_says_what_was_found_and_what_it_was_judged_on() -> None:
+    """A gap that a name does not touch, or that rest and reversals leave, is no number of its success."""
     result = gap_result("named", JOINTS)
     before, after = ratio(float(result.gap.before[1])), ratio(float(result.gap.after[1]))
     success = f"With it, the gap of knee falls from {before} to {after} times the noise floor."
     assert verdict_sentence(result) == f"Found: Coulomb friction at knee. {success}"
-
-
-def test_the_verdict_says_what_it_was_judged_on() -> None:
-    """A gap that a name does not touch, or that rest and reversals leave, is no number of its success."""
-    result = gap_result("named", JOINTS)
     high = np.array([40.0, 0.0, 0.0])  # of a channel that nothing reaches
     gap = replace(result.gap, before=result.gap.before + high, after=result.gap.after + high)
     assert "With it, the gap of knee falls" in verdict_sentence(replace(result, gap=gap))
@@ -127,24 +119,19 @@ def test_the_verdict_says_what_it_was_judged_on() -> None:
     assert "With it" not in verdict_sentence(replace(result, findings=unsure))
     nothing = replace(gap_result("no gap", JOINTS), gap=replace(gap, before=gap.after))
     assert "within 1.02 times the noise floor while joints move (41.0 with rest" in verdict_sentence(nothing)
+    known = replace(nothing, moving=np.array([6.0, 1.0, 1.0]))
+    assert "up to 6.00 times the noise floor is left while joints move" in verdict_sentence(known)
+    untested = replace(nothing, verdict="incomplete", unjudged=("hip", "knee"))
+    assert verdict_sentence(untested).startswith("Found: no effect. Not tested: hip and knee; hold out more")
     closed = replace(result, verdict="no gap")
     assert "Corrected link inertias close the gap" in verdict_sentence(closed)
     joints = "friction, rotor inertias and offsets of joints"
     assert joints in verdict_sentence(replace(closed, ordinary=result.findings))
-    known = replace(nothing, moving=np.array([6.0, 1.0, 1.0]))
-    assert "up to 6.00 times the noise floor is left while joints move" in verdict_sentence(known)
-
-
-def test_what_was_not_judged_is_told() -> None:
-    result = replace(gap_result("no gap", JOINTS), verdict="incomplete", unjudged=("hip", "knee"))
-    assert verdict_sentence(result).startswith("Found: no effect. Not tested: hip and knee; hold out more")
 
 
 def test_what_is_left_is_part_of_the_verdict() -> None:
-    assert "A residual remains at knee, which depends on its position" in verdict_sentence(
-        gap_result("incomplete", JOINTS)
-    )
-    unexplained = verdict_sentence(gap_result("unexplained", JOINTS))
+    incomplete, unexplained = (verdict_sentence(gap_result(case, JOINTS)) for case in ("incomplete", "unexplained"))
+    assert "A residual remains at knee, which depends on its position" in incomplete
     assert "No known effect explains the residual at knee, which depends on the motion of hip" in unexplained
     assert "Found" not in unexplained
 

@@ -42,18 +42,10 @@ def channel(name: str, error: float = 0.1, samples: int = 300) -> Series:
     return Series(name, "N m", times, truth, truth + 1.0, truth + error)
 
 
-def channels(count: int) -> list[Series]:
-    return [channel(f"joint{k}", 0.1 + 0.01 * k) for k in range(count)]
-
-
 def is_whole_picture(path: Path) -> bool:
     data = path.read_bytes()
     size = tuple(round(inches * pictures.DPI) for inches in pictures.SIZE)
     return data[:8] == b"\x89PNG\r\n\x1a\n" and struct.unpack(">II", data[16:24]) == size and b"IEND" in data[-12:]
-
-
-def identification_picture(path: Path, title: str, bodies: list[BodyDrawing], series: list[Series], note: str) -> None:
-    write_picture(path, identification_figure(title, bodies, series, note))
 
 
 def drawn(bodies: list[BodyDrawing], series: list[Series]) -> Figure:
@@ -65,15 +57,10 @@ def texts(figure: Figure) -> list[str]:
     return [t.get_text() for t in figure.texts] + [t.get_text() for axes in figure.axes for t in axes.texts]
 
 
-def panels(figure: Figure) -> dict[str, str]:
-    """Title of each channel's panel, and what it says about the RMS."""
-    return {a.get_title("left"): a.get_title("right") for a in figure.axes if a.get_title("left")}
-
-
 AWKWARD = {
-    "more than the table has": (chain(40), channels(3)),
+    "more than the table has": (chain(40), [channel("joint")]),
     "nothing": ([], []),
-    "a point": ([BodyDrawing("p", np.zeros(3), None, POINT, POINT, 0.0)], channels(1)),
+    "a point": ([BodyDrawing("p", np.zeros(3), None, POINT, POINT, 0.0)], [channel("joint")]),
     "no numbers": ([BodyDrawing("p", np.zeros(3), None, NOWHERE, NOWHERE, np.nan)], [channel("short", samples=1)]),
     "constant": (chain(2), [Series("x", "N", np.arange(5.0), *(3 * [np.zeros(5)]))]),
     "names like formulas": ([replace(chain(1)[0], name="$a_{b$ $" + 40 * "x")], [channel("$x_{$")]),
@@ -84,7 +71,7 @@ AWKWARD = {
 @pytest.mark.filterwarnings("error")
 def test_every_input_gives_a_whole_picture(name: str, tmp_path: Path) -> None:
     bodies, series = AWKWARD[name]
-    identification_picture(tmp_path / "p.png", "title $", bodies, series, "note $ " * 200)
+    write_picture(tmp_path / "p.png", identification_figure("title $", bodies, series, "note $ " * 200))
     assert is_whole_picture(tmp_path / "p.png")
     assert [file.name for file in tmp_path.iterdir()] == ["p.png"]
 
@@ -92,14 +79,15 @@ def test_every_input_gives_a_whole_picture(name: str, tmp_path: Path) -> None:
 def test_the_most_improved_channels_are_shown_in_their_order() -> None:
     series = [channel(f"joint{k}", error) for k, error in enumerate(np.linspace(1.5, 0.1, 20))]
     figure = drawn(chain(1), series)
-    assert list(panels(figure)) == [f"joint{k} [N m]" for k in range(8, 20)]
-    assert panels(figure)["joint19 [N m]"] == "RMS 1.00 → 0.100"
+    panels = {a.get_title("left"): a.get_title("right") for a in figure.axes if a.get_title("left")}
+    assert list(panels) == [f"joint{k} [N m]" for k in range(8, 20)]
+    assert panels["joint19 [N m]"] == "RMS 1.00 → 0.100"
     assert any("fell in 13 of 20 channels, rose in 7; the 12 with" in text for text in texts(figure))
 
 
 def test_table_has_name_masses_and_share() -> None:
     *others, last = chain(4)
-    said = [text.strip() for text in texts(drawn([*others, replace(last, std_mass=0.31)], channels(1)))]
+    said = [text.strip() for text in texts(drawn([*others, replace(last, std_mass=0.31)], [channel("joint")]))]
     for expected in ("link3", "2.00", "2.20", "± 0.310", "75 %"):
         assert expected in said
 
@@ -160,28 +148,24 @@ def test_a_robot_is_larger_than_a_third_of_its_place_whatever_its_shape(step: tu
     assert np.all(inches < pictures.ROBOT[2:])
 
 
-def test_a_body_that_is_too_far_to_draw_is_named_with_its_reach() -> None:
+def test_what_is_said_on_the_picture() -> None:
+    """Reasons for doubt below the title, a body that is too far to draw; and no text shows an escaped line end."""
+    reasons = ["DOUBTFUL: the total link mass is 10.4 kg.", "DOUBTFUL: " + 60 * "and so on "]
     bodies = chain(3)
     bodies[1] = replace(bodies[1], identified=replace(bodies[1].identified, centre=np.array([7.0, 0.0, 0.3])))
-    assert "Not shown: 2 identified, reaches 7.14 m from its link's frame." in texts(drawn(bodies, []))
+    said = texts(identification_figure("title", bodies, [channel("joint")], 60 * "a note ", reasons))
+    assert any(text.startswith(f"{reasons[0]} DOUBTFUL: and so on") for text in said)
+    assert "Not shown: 2 identified, reaches 7.14 m from its link's frame." in said
+    assert not any("\\n" in text or "\n" in text for text in said)
     assert not any("Not shown" in text for text in texts(drawn(chain(3), [])))
 
 
-def test_reasons_for_doubt_are_below_the_title_and_no_text_shows_an_escaped_line_end() -> None:
-    reasons = ["DOUBTFUL: the total link mass is 10.4 kg.", "DOUBTFUL: " + 60 * "and so on "]
-    figure = identification_figure("title", chain(1), channels(1), 60 * "a note ", reasons)
-    assert any(text.startswith(f"{reasons[0]} DOUBTFUL: and so on") for text in texts(figure))
-    assert not any("\\n" in text or "\n" in text for text in texts(figure))
-
-
 @pytest.mark.parametrize(("low", "high"), [(-0.4, 1.1), (-1.6, 0.9), (0.0, 4.58), (-300.0, -20.0), (1e-4, 2e-3)])
-@pytest.mark.parametrize("most", [2, 5, 7])
-def test_ticks_are_equally_far_apart_within_the_ends_and_zero_has_no_sign(low: float, high: float, most: int) -> None:
-    found = ticks(low, high, most)
-    assert 1 <= len(found) <= most + 1
-    assert low <= found[0]
-    assert found[-1] <= high
-    np.testing.assert_allclose(np.diff(found, 2), 0.0, atol=1e-9 * (high - low))
-    assert "-0" not in [f"{value:g}" for value in found]
-    if low <= 0.0 <= high:
-        assert min(map(abs, found)) < 1e-12
+def test_ticks_are_equally_far_apart_within_the_ends_and_zero_has_no_sign(low: float, high: float) -> None:
+    for most in (2, 5, 7):
+        found = ticks(low, high, most)
+        assert 1 <= len(found) <= most + 1
+        assert low <= found[0] <= found[-1] <= high
+        np.testing.assert_allclose(np.diff(found, 2), 0.0, atol=1e-9 * (high - low))
+        assert "-0" not in [f"{value:g}" for value in found]
+        assert not low <= 0.0 <= high or min(map(abs, found)) < 1e-12
