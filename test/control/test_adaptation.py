@@ -16,7 +16,7 @@ from excitation.motions import lively
 from files.recordings import BAGS, QUICK
 
 import geomid_ros
-from benchmarks.adaptation import LATE, SLOW, Robot
+from benchmarks.adaptation import LATE, Robot
 from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.control.correction import (
     FASTEST,
@@ -92,12 +92,12 @@ def test_the_body_stays_possible_and_within_the_bound_whatever_comes() -> None:
     rng = np.random.default_rng(5)
     adaptation = Adaptation(body(rng), HEAVIEST)
     start, largest = adaptation.point, 0.0
-    for size in rng.choice([1e-3, 1.0, 1e3], 5000).tolist():
+    for size in rng.choice([1e-3, 1.0, 1e3], 1500).tolist():
         adaptation.step(size * adaptation.shortest_change(rng.normal(size=(7, 10)), rng.normal(size=7)))
         assert np.linalg.eigvalsh(adaptation.point.pseudo_inertias[0])[0] > 0.0
         largest = max(largest, divergence(adaptation.point, start))
     inside = max(divergence(ONE_BODY.point(start.parameters + carried(mass, end)), start) for mass, end in LOADS)
-    for _ in range(5000):
+    for _ in range(1500):
         adaptation.step(np.full(10, 0.01))
     assert inside < divergence(adaptation.point, start) < 100.0 * inside
     assert largest < 100.0 * inside
@@ -365,10 +365,8 @@ def test_a_simulated_robot_carries_what_no_model_has(tmp_path: Path) -> None:
     geomid_ros.identify(tmp_path / "arm3_1", candidates=[]).save(tmp_path / "arm3_1_estimate", report=False)
     robot = Robot("arm3", 1, tmp_path)
     model = robot.model()(robot.commanded)
-    without = robot.run(model)
-    for link in (SLOW, LATE):
-        run = robot.run(model, robot.adapting(link))
-        assert run.adapting is not None
-        assert run.adapting.correction.latch.reason == ""
-        assert run.errors[1] < without.errors[1] / 2.0
-        assert run.errors[2] < without.errors[2] / 10.0
+    without, run = robot.run(model), robot.run(model, robot.adapting(LATE))
+    assert run.adapting is not None
+    assert run.adapting.correction.latch.reason == ""
+    assert run.errors[1] < without.errors[1] / 2.0
+    assert run.errors[2] < without.errors[2] / 10.0

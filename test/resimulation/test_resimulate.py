@@ -3,6 +3,7 @@ proportion; from its commands, the controller is found, and a right model needs 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,6 +18,7 @@ from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.channels import WrenchSensor
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -35,6 +37,7 @@ from .recordings import ARM, FLOOR, JOINTS, MODEL, PERIOD, Added, files, motion,
 
 # 200 windows: their root mean square is known to 5 %, and so is the unit's; four of these.
 SCATTER = 0.28
+SECOND = np.array([0.0, 1.0, 0.0])
 EXACT = 0.1  # of the noise's error: what integration leaves of a model that is right and data without noise
 
 
@@ -42,7 +45,7 @@ def spring(stiffness: float) -> tuple[Added, Any]:
     """A spring at joint2: what the motors supply, and the effect."""
 
     def added(position: FloatArray, *_: FloatArray) -> FloatArray:
-        return stiffness * (position - 0.3) * np.array([0.0, 1.0, 0.0])
+        return stiffness * (position - 0.3) * SECOND
 
     return added, effect("spring", "joint2", stiffness=stiffness, equilibrium=0.3)
 
@@ -94,36 +97,36 @@ CASES: dict[str, tuple[Any, Added]] = {
 }
 
 
+def assert_closes(
+    tmp_path: Path, known: KnownEffect, *recordings: Samples, of: Collection[str] = ("joint2",)
+) -> Resimulated:
+    """Without the effect these channels are off, with it none is."""
+    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), *recordings)
+    assert min(found.before[name] for name in of) > 3.0
+    assert max(found.after.values()) < 1.0 + SCATTER
+    return found
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_effects_of_a_joint_close_the_gap(tmp_path: Path, name: str) -> None:
     known, added = CASES[name]
-    only_second = np.array([0.0, 1.0, 0.0])
-    data = recording(lambda q, v, a: only_second * added(q, v, a))
-    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), data)
-    assert found.before["joint2"] > 3.0
-    assert max(found.after.values()) < 1.0 + SCATTER
+    assert_closes(tmp_path, known, recording(lambda q, v, a: SECOND * added(q, v, a)))
 
 
 def test_friction_that_samples_show_less_of_at_rest_holds_a_joint(tmp_path: Path) -> None:
     """At rest it may have either sign, so that samples tell of less than there is: an excess below zero."""
-    only_second = np.array([0.0, 1.0, 0.0])
-    moving = recording(lambda q, v, a: only_second * coulomb(q, v, a))
-    resting = recording(lambda q, *_: only_second * np.full_like(q, 0.3), moves=False)
+    moving = recording(lambda q, v, a: SECOND * coulomb(q, v, a))
+    resting = recording(lambda q, *_: SECOND * np.full_like(q, 0.3), moves=False)
     known = effect("stribeck_friction", "joint2", level=0.5, excess=-0.5, speed=0.03)
-    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), moving, resting)
-    assert found.before["joint2"] > 3.0
-    assert max(found.after.values()) < 1.0 + SCATTER
+    assert_closes(tmp_path, known, moving, resting)
 
 
 def test_friction_by_load_closes_the_gap(tmp_path: Path) -> None:
     """The friction is c times what the gear passes on, which is the rest of the effort."""
     smooth = recording(noise=0.0)
-    friction = 0.1 * np.abs(smooth.effort) * np.sign(smooth.velocity) * np.array([0.0, 1.0, 0.0])
+    friction = 0.1 * np.abs(smooth.effort) * np.sign(smooth.velocity) * SECOND
     data = with_values(recording(), effort=recording().effort + friction)
-    known = effect("load_friction", "joint2", coefficient=0.1)
-    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), data)
-    assert found.before["joint2"] > 3.0
-    assert max(found.after.values()) < 1.0 + SCATTER
+    assert_closes(tmp_path, effect("load_friction", "joint2", coefficient=0.1), data)
 
 
 def test_efforts_are_corrected_as_the_sidecar_says(tmp_path: Path) -> None:
@@ -146,11 +149,8 @@ def test_efforts_are_corrected_as_the_sidecar_says(tmp_path: Path) -> None:
 def test_wrenches_are_judged_with_their_offset(tmp_path: Path) -> None:
     data = recording()
     shifted = with_values(data, wrenches=data.wrenches - [0.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # the sign is reversed
-    known = effect("wrench_offset", "/wrench", fz=1.0)
-    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), shifted)
-    assert found.before["wrench/fz"] > 3.0
+    found = assert_closes(tmp_path, effect("wrench_offset", "/wrench", fz=1.0), shifted, of=["wrench/fz"])
     assert found.before["wrench/fx"] == found.after["wrench/fx"]
-    assert max(found.after.values()) < 1.0 + SCATTER
 
 
 def test_a_payload_shows_in_joints_and_wrench(tmp_path: Path) -> None:
@@ -166,7 +166,7 @@ def test_a_payload_shows_in_joints_and_wrench(tmp_path: Path) -> None:
 def link_motion(stiffness: float) -> Samples:
     """A recording as the motors see it: they are ahead of the links by the effort over the stiffness, at joint2."""
     exact = recording(noise=0.0)
-    ahead = exact.effort / stiffness * np.array([0.0, 1.0, 0.0])
+    ahead = exact.effort / stiffness * SECOND
     rate = np.gradient(ahead, PERIOD, axis=0, edge_order=2)
     return with_values(
         recording(),
@@ -251,13 +251,9 @@ def test_model_files_that_cannot_be_used_are_named(tmp_path: Path, text: str | N
         model.mjcf.write_text(text)
     with pytest.raises(InputError, match=rf"model\.xml: .*{message}"):
         simulated(model, model, recording(duration=2.0))
-
-
-def test_a_sidecar_of_another_robot_is_named(tmp_path: Path) -> None:
-    other = files(tmp_path, "other", [])
     wrong = files(tmp_path, "wrong", [effect("effort_gain", "elbow", gain=2.0)])
     with pytest.raises(InputError, match=r"wrong\.yaml: unknown joint 'elbow'"):
-        simulated(other, wrong, recording(duration=2.0))
+        simulated(files(tmp_path, "other"), wrong, recording(duration=2.0))
 
 
 def test_noise_is_the_remainder_at_the_size_of_the_floor() -> None:
@@ -310,7 +306,7 @@ def test_in_closed_loop_a_wrong_one_needs_others_in_proportion(tmp_path: Path) -
     for stiffness in (2.0, 4.0):
 
         def spring(position: FloatArray, *_: FloatArray, stiffness: float = stiffness) -> FloatArray:
-            return stiffness * (position - 0.3) * np.array([0.0, 1.0, 0.0])
+            return stiffness * (position - 0.3) * SECOND
 
         data = recording(spring, noise=0.0, duration=8.0)
         known = effect("spring", "joint2", stiffness=stiffness, equilibrium=0.3)
