@@ -56,10 +56,6 @@ def test_a_table_with_addresses_relative_to_it(folder: Path, tmp_path: Path) -> 
     table.write_text("robot,bag\na,left/monday\nb,\n")
     with pytest.raises(InputError, match="line 3 has no bag or no robot"):
         find_bags(str(table))
-
-
-def test_a_robot_whose_name_no_folder_can_have_is_refused(folder: Path) -> None:
-    table = folder / "names.csv"
     table.write_text("robot,bag\n../up,left/monday\n")
     with pytest.raises(InputError, match=r"the robot's name is '\.\./up', which is not a valid folder name"):
         find_bags(str(table))
@@ -81,8 +77,6 @@ def test_a_bag_that_changes_has_another_fingerprint(tmp_path: Path) -> None:
 def test_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no rosbag found, expected ROBOT/BAG folders, a pattern or a \.csv file"):
         find_bags(str(tmp_path))
-    with pytest.raises(InputError, match="no rosbag found"):
-        find_bags(str(tmp_path / "absent"))
     with pytest.raises(InputError, match="cannot be reached"):
         find_bags("nonsense://bags")
 
@@ -102,8 +96,5 @@ def test_bags_in_an_object_store(folder: Path) -> None:
     assert not copied.exists()
     with pytest.raises(GeomidError, match=r"no such bag|cannot be copied"), on_this_disk("memory:///fleet/absent"):
         pass
-
-
-def test_a_bag_on_this_disk_stays_where_it_is() -> None:
     with on_this_disk(str(BAGS / "arm3")) as path:
-        assert path == BAGS / "arm3"
+        assert path == BAGS / "arm3", "it stays where it is"

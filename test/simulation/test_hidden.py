@@ -24,37 +24,25 @@ from .reading import recorded
 OPTIONS = SimulationOptions(robot="arm7", wrench_frame=WRIST_FRAME, longest_step=QUICK)
 
 
-def quiet(options: SimulationOptions) -> SimulationOptions:
-    """The same without noise."""
-    return replace(options, position_noise=0.0, velocity_noise=0.0, effort_noise=0.0, force_noise=0.0, torque_noise=0.0)
-
-
 def chosen(*hide: Hidden, seed: int = 1) -> tuple[TrueEffect, ...]:
     options = replace(OPTIONS, hide=hide, seed=seed)
     return chosen_effects(options, read_description(robot_description(options.robot)))
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("spring", Hidden("spring")),
-        ("spring:joint2", Hidden("spring", "joint2")),
-        ("spring=20", Hidden("spring", "", 20.0)),
-        ("spring:joint2=-2e1", Hidden("spring", "joint2", -20.0)),
-        (
-            "spring:joint2=stiffness=20,equilibrium=0.3",
-            Hidden("spring", "joint2", None, {"stiffness": 20.0, "equilibrium": 0.3}),
+def test_how_it_is_written() -> None:
+    for text, expected in {
+        "spring": Hidden("spring"),
+        "spring:joint2": Hidden("spring", "joint2"),
+        "spring=20": Hidden("spring", "", 20.0),
+        "spring:joint2=-2e1": Hidden("spring", "joint2", -20.0),
+        "spring:joint2=stiffness=20,equilibrium=0.3": Hidden(
+            "spring", "joint2", None, {"stiffness": 20.0, "equilibrium": 0.3}
         ),
-    ],
-)
-def test_how_it_is_written(text: str, expected: Hidden) -> None:
-    assert parse_hidden(text) == expected
-
-
-@pytest.mark.parametrize("text", ["spring=hard", "spring:joint1=stiffness=", "spring=nan", "spring=stiffness=1,2"])
-def test_what_is_no_number_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="is not a number"):
-        parse_hidden(text)
+    }.items():
+        assert parse_hidden(text) == expected
+    for text in ("spring=hard", "spring:joint1=stiffness=", "spring=nan", "spring=stiffness=1,2"):
+        with pytest.raises(InputError, match="is not a number"):
+            parse_hidden(text)
 
 
 @pytest.mark.parametrize("effect", SIZES)
@@ -67,12 +55,9 @@ def test_the_seed_decides_what_is_left_open(effect: str) -> None:
 
 
 def test_payload_by_joint_and_by_link() -> None:
-    assert [chosen(Hidden("payload", place))[0].joint for place in ("joint7", "tool", "link7")] == ["joint7"] * 3
-    assert [chosen(Hidden("payload", place))[0].link for place in ("joint7", "tool", "link7")] == [
-        "link7",
-        "tool",
-        "link7",
-    ]
+    for place, link in (("joint7", "link7"), ("tool", "tool"), ("link7", "link7")):
+        (payload,) = chosen(Hidden("payload", place))
+        assert (payload.joint, payload.link) == ("joint7", link)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +84,8 @@ def test_commands_and_gains_are_the_whole_controller(tmp_path: Path) -> None:
     """Feed-forward plus gains times errors is the effort that acted."""
     pytest.importorskip("mujoco")
     options = replace(OPTIONS, duration=3.0, hide=(Hidden("coulomb_friction"),), commands=True)
-    result = simulate(tmp_path / "recording", quiet(options))
+    silent = dict.fromkeys(("position_noise", "velocity_noise", "effort_noise", "force_noise", "torque_noise"), 0.0)
+    result = simulate(tmp_path / "recording", replace(options, **silent))
     bag = recorded(result.bag)
     states, commands = bag.messages["/joint_states"], bag.messages["/joint_commands"]
     assert result.controller is not None

@@ -77,19 +77,17 @@ def test_what_is_recorded(options: WalkOptions, tmp_path: Path) -> None:
         simulate_walk(tmp_path / "bag", options)
 
 
-def test_without_a_payload_the_trunk_is_that_of_the_urdf() -> None:
+def test_the_trunk_carries_the_payload_if_there_is_one() -> None:
+    """Also as a root link without a mass."""
     robot = read_description(urdf("go2.urdf"))
     exact = replace(OPTIONS, payload=0.0, inertia_error=0.0)
     for body, nominal in zip(true_bodies(robot, exact), robot.inertias, strict=True):
         assert body.mass == pytest.approx(nominal.mass)
         np.testing.assert_allclose(body.com, nominal.com, atol=1e-12)
-
-
-def test_a_root_link_without_a_mass_carries_the_payload() -> None:
-    robot = read_description(urdf("a1.urdf"))
-    assert robot.root not in {body.name for body in robot.inertias}
-    loaded = true_bodies(robot, replace(OPTIONS, inertia_error=0.0))
-    added = sum(body.mass for body in loaded) - sum(body.mass for body in robot.inertias)
+    massless = read_description(urdf("a1.urdf"))
+    assert massless.root not in {body.name for body in massless.inertias}
+    loaded = true_bodies(massless, replace(OPTIONS, inertia_error=0.0))
+    added = sum(body.mass for body in loaded) - sum(body.mass for body in massless.inertias)
     assert added == pytest.approx(OPTIONS.payload)
 
 
