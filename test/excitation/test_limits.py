@@ -51,21 +51,13 @@ def test_an_effort_suffices_for_the_acceleration_that_follows_from_it() -> None:
 @pytest.mark.parametrize(
     ("limit", "kind", "message"),
     [
-        (
-            "",
-            "continuous",
-            "joint 'j3' has no velocity limit; give it a velocity in its <limit>, or has_velocity_limits",
-        ),
-        ('<limit effort="0" velocity="2" lower="-1" upper="1"/>', "revolute", "joint 'j3' has no acceleration limit"),
-        (
-            '<limit effort="9" lower="-1" upper="1"/>',
-            "revolute",
-            "joint 'j3': its <limit> has effort=\"9\", no velocity;",
-        ),
+        ("", "continuous", "has no velocity limit; give it a velocity in its <limit>, or has_velocity_limits"),
+        ('<limit effort="0" velocity="2" lower="-1" upper="1"/>', "revolute", "has no acceleration limit"),
+        ('<limit effort="9" lower="-1" upper="1"/>', "revolute", 'its <limit> has effort="9", no velocity;'),
     ],
 )
 def test_missing_limits_are_named(limit: str, kind: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=f"joint 'j3'.* {message}"):
         limits(text=urdf(limit, kind))
 
 
@@ -87,7 +79,6 @@ def test_a_file_gives_what_is_missing(tmp_path: Path) -> None:
         ("joint_limits: {nobody: {}}", "joint 'nobody'"),
         ("joint_limits: {j1: {max_velocity: -1}}", "joint 'j1': max_velocity is -1"),
         ("joint_limits: {j1: {has_jerk_limits: true}}", "has_jerk_limits is true and max_jerk is absent"),
-        ("a: [", "the file of joint limits cannot be read"),
     ],
 )
 def test_files_that_cannot_be_used(tmp_path: Path, text: str, message: str) -> None:

@@ -11,7 +11,6 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.belief import ROWS_PER_SECOND
-from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.rivals import discriminating_motion, responses
 from geomid_ros.excitation.search import Search, random_motion
 from geomid_ros.model.effects import AtJoint, OnRobot, effect_class
@@ -43,19 +42,14 @@ SPRING = finding("spring", "j2", [("effort_offset", "j2")], stiffness=2.0, equil
 ELASTIC = finding("joint_elasticity", "j2", [("effort_delay", "")], stiffness=300.0)
 
 
-@pytest.mark.parametrize("own", [ROTOR, ELASTIC], ids=["rotor", "elastic"])
-def test_a_deciding_motion_tells_more_than_random_ones(own: dict[str, Any], tmp_path: Path) -> None:
-    judge = rival_effects(TASK.feasibility, written(tmp_path, own))
+def test_a_deciding_motion_tells_more_than_random_ones(tmp_path: Path) -> None:
+    judge = rival_effects(TASK.feasibility, written(tmp_path, ROTOR))
     random = np.random.default_rng(1)
     motion = discriminating_motion(TASK.feasibility, TASK.form, judge, random)
     assert TASK.feasibility.keeps_limits(motion)
-    others = [
-        judge.smallest_difference(
-            TASK.feasibility.shrunk_to_feasible(random_motion(TASK.feasibility, TASK.form, random))
-        )
-        for _ in range(6)
-    ]
-    assert judge.smallest_difference(motion) > max(others)
+    for _ in range(6):
+        other = TASK.feasibility.shrunk_to_feasible(random_motion(TASK.feasibility, TASK.form, random))
+        assert judge.smallest_difference(motion) > judge.smallest_difference(other)
 
 
 def test_what_a_deciding_motion_shows_is_not_lost_in_making_it_feasible(
@@ -132,24 +126,12 @@ def test_columns_of_effects_that_depend_on_the_load() -> None:
     ("document", "message"),
     [
         ({"findings": []}, "no finding has a rival"),
-        ({"findings": 3}, "findings is 3, expected a list"),
-        ({"format": 2, "findings": []}, "has format 2"),
         ({"findings": [finding("spring", "j2", [("ghost", "")], stiffness=1.0)]}, "'ghost'"),
         ({"findings": [ROTOR], "floor": {"j1": 0.1, "joint4": 0.1}}, "written for another robot.*'joint4'"),
         ({"findings": [ROTOR], "floor": {"j1": 0.1, "arm/tx": 0.1, "tool/j9": 0.1}}, "another robot.*'tool/j9'"),
-        ({"findings": [ROTOR], "floor": {"j1": 0.1, "tx": 0.1}}, "another robot.*'tx'"),
         ({"findings": [finding("spring", "elbow", [("effort_offset", "j2")], stiffness=1.0)]}, "'elbow'"),
     ],
 )
 def test_reports_that_cannot_be_used(document: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
         rival_effects(TASK.feasibility, written(tmp_path, **document))
-
-
-def test_a_motion_is_not_changed_by_its_judge(tmp_path: Path) -> None:
-    judge = rival_effects(TASK.feasibility, written(tmp_path, ROTOR, SPRING))
-    motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(4))
-    judge.prepare(motion.scaled(0.5))
-    assert [len(own) for own in judge.differences(motion)] == [1, 1]
-    still = ExcitingMotion(motion.form, motion.start, 0.0 * motion.coefficients)
-    assert judge.smallest_difference(still) < judge.smallest_difference(motion)

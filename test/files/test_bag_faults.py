@@ -33,7 +33,7 @@ from .recordings import BAGS, TYPES, Recorded, recorded, write_bag
 ROOT = Path(__file__).parents[2]
 URDF = BAGS / "arm3.urdf"
 MESSAGES = recorded(BAGS / "arm3")
-MEMORY = 400_000_000  # bytes that opening a crafted file may take, of 591 MB that it would unpack to
+MEMORY = 200_000_000  # bytes that opening a crafted file may take, of 300 MB that it would unpack to
 FLIPS = 80
 
 Content = list[tuple[str, int, bytes]]
@@ -113,6 +113,7 @@ class TestTruncated:
         everything = content(path)
         ends = whole_ends(data, form, everything)
         assert len(everything) == len(ends) == 400
+        assert everything == by_rosbags(path)
         generator = random.Random(1)
         for cut in [*(generator.randrange(len(data)) for _ in range(20)), len(data) - 1]:
             path.write_bytes(data[:cut])
@@ -324,7 +325,6 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "folder of nothing": (lambda folder: folder, "without metadata.yaml.*name a bag's folder"),
     "two formats without metadata": (two_formats, "without metadata.yaml.*one of its files"),
     "empty mcap": (file("a.mcap", b""), "at byte 0, the file is empty"),
-    "empty db3": (file("a.db3", b""), "at byte 0, the file is empty"),
     "no mcap": (file("a.mcap", bytes(100)), "at byte 0, .*with an MCAP header"),
     "no db3": (file("a.db3", bytes(100)), "at byte 0, .*with an SQLite header"),
     "a ROS 1 bag": (file("a.bag", b"#ROSBAG V2.0\n"), "a bag of ROS 1.*rosbags-convert --src .*a.bag --dst .*a "),
@@ -376,11 +376,11 @@ except InputError as error:
     print(error)
 print(1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before))
 """
-ZEROS = bytes(591_000_000)
+ZEROS = bytes(300_000_000)
 
 
 def bomb(method: str) -> bytes:
-    """A file of few kilobytes with a chunk that unpacks to 591 MB, as one message."""
+    """A file of few kilobytes with a chunk that unpacks to 300 MB, as one message."""
     head = record(3, struct.pack("<H", 1) + text("std_msgs/msg/String") + text("ros2msg") + text(""))
     head += record(4, struct.pack("<HH", 0, 1) + text("/a") + text("cdr") + struct.pack("<I", 0))
     told = chunk(head + record(5, bytes(22) + ZEROS), method, False)
@@ -409,7 +409,7 @@ class TestCrafted:
     @pytest.mark.parametrize(
         ("data", "message"),
         [
-            (lambda: bomb("zstd"), f"591000\\d+ bytes unpacked from \\d+, more than the maximum of {MOST_BYTES}"),
+            (lambda: bomb("zstd"), f"300000\\d+ bytes unpacked from \\d+, more than the maximum of {MOST_BYTES}"),
             (lambda: bomb("lz4"), "more than"),
             (lying_bomb, "expected 1000 unpacked bytes, found more"),
         ],
@@ -442,17 +442,6 @@ class TestCrafted:
         (bag / "bag.mcap").write_bytes(zstd.compress(bytes(50_000_000)))
         with pytest.raises(InputError, match="more than 300 times its size"):
             content(bag)
-
-    def test_messages_of_chunks_that_all_overlap_are_bounded(
-        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-    ) -> None:
-        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 400_000)
-        messages = [Message(0, time, bytes(1000)) for index in range(50) for time in (0 if index else 1, 10**9 + index)]
-        path = tmp_path / "mixed.mcap"
-        path.write_bytes(mcap([("/a", "std_msgs/msg/String")], messages, Form(chunk=2)))
-        assert content(path)[:2] == [("/a", 0, bytes(1000))] * 2
-        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 40_000)
-        assert "overlap too much in time" in error_of(path)
 
     def test_what_a_bag_calls_its_topics_does_not_reach_the_terminal(self, tmp_path: Path) -> None:
         path = tmp_path / "colour.mcap"
@@ -549,15 +538,6 @@ def rosbags_convert(arguments: list[str]) -> None:
 class TestWhole:
     """What is right is read as other programs read it."""
 
-    @pytest.mark.parametrize("method", ["", "zstd", "lz4"])
-    @pytest.mark.parametrize("size", [0, 7])
-    def test_every_form_of_an_mcap_file(self, size: int, method: str, tmp_path: Path) -> None:
-        path = tmp_path / "a.mcap"
-        path.write_bytes(file_of(Form(size, method)))
-        assert len(content(path)) == 400
-        path.write_bytes(file_of(Form(size, method, checksums=False, summary=False)))
-        assert content(path) == by_rosbags(path)
-
     @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
     @pytest.mark.parametrize("mode", ["MESSAGE", "FILE"])
     @pytest.mark.parametrize("method", ["zstd", "lz4"])
@@ -575,11 +555,14 @@ class TestWhole:
         described(bag, compression_mode=mode, compression_format=method)
         assert [data for _, _, data in content(bag)] == raw
 
-    def test_chunks_that_overlap_are_read_in_the_order_of_recording(self, tmp_path: Path) -> None:
-        times = list(range(1000, 1200))
-        random.Random(4).shuffle(times)
-        path = tmp_path / "mixed.mcap"
-        path.write_bytes(
-            mcap([("/a", "std_msgs/msg/String")], [Message(0, time, bytes(8)) for time in times], Form(chunk=9))
-        )
+    def test_chunks_that_overlap_are_read_in_the_order_of_recording(
+        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    ) -> None:
+        """As long as what has to wait does not fill the memory."""
+        times = [time for index in range(50) for time in (0 if index else 1, 10**9 + index)]
+        messages = [Message(0, time, bytes(1000)) for time in times]
+        path = file("mixed.mcap", mcap([("/a", "std_msgs/msg/String")], messages, Form(chunk=2)))(tmp_path)
+        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 400_000)
         assert [time for _, time, _ in content(path)] == sorted(times)
+        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 40_000)
+        assert "overlap too much in time" in error_of(path)
