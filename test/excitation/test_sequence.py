@@ -68,16 +68,3 @@ def test_a_sequence_learns_and_comes_to_an_end() -> None:
     assert len(errors) > 2
     assert errors[-1] < 0.05 * errors[0]
     assert errors[-1] < 1.05 * errors[1]
-
-
-def test_what_is_known_already_is_not_learned_again() -> None:
-    """After a motion the same one promises less than another that was designed from there."""
-    random = np.random.default_rng(3)
-    first, gain = designed(TASK.belief, random)
-    after = TASK.belief.updated(TASK.belief.information(first))
-    _, second = designed(after, random)
-    assert second < gain
-    poor = replace(first, coefficients=first.coefficients * np.array([1.0, 0.0, 0.0]))
-    known = TASK.belief.updated(TASK.belief.information(poor))
-    _, from_poor = designed(known, random)
-    assert from_poor > second

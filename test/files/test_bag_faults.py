@@ -305,13 +305,6 @@ def file(name: str, data: bytes) -> Callable[[Path], Path]:
     return make
 
 
-def alias_bomb(folder: Path) -> Path:
-    bag = write_bag(folder / "bag", MESSAGES[:50])
-    levels = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 10))
-    (bag / "metadata.yaml").write_text(f"a0: &a0 [x]\n{levels}rosbag2_bagfile_information: {{compression_format: *a9}}")
-    return bag
-
-
 def two_formats(folder: Path) -> Path:
     bag = folder / "bag"
     bag.mkdir()
@@ -335,7 +328,6 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "the format is another": (with_metadata(storage_identifier="hdf5"), "metadata.yaml: .*hdf5"),
     "the compression is another": (with_metadata(compression_mode="FILE", compression_format="rar"), "rar"),
     "a file is a list": (with_metadata(relative_file_paths=[["a"]]), "metadata.yaml: cannot be read"),
-    "aliases": (alias_bomb, "metadata.yaml: .*aliases are not allowed"),
 }
 
 
@@ -436,13 +428,6 @@ class TestCrafted:
         connection.close()
         assert "not a plain table or index" in error_of(path)
 
-    def test_a_packed_file_that_unpacks_to_too_much_is_refused(self, tmp_path: Path) -> None:
-        bag = with_metadata(compression_mode="FILE", compression_format="zstd")(tmp_path)
-        zstd = pytest.importorskip("backports.zstd")
-        (bag / "bag.mcap").write_bytes(zstd.compress(bytes(50_000_000)))
-        with pytest.raises(InputError, match="more than 300 times its size"):
-            content(bag)
-
     def test_what_a_bag_calls_its_topics_does_not_reach_the_terminal(self, tmp_path: Path) -> None:
         path = tmp_path / "colour.mcap"
         path.write_bytes(mcap([("/\x1b[2Jgone", "std_msgs/msg/String")], [], Form()))
@@ -492,25 +477,25 @@ class TestAsFound:
         assert content(described(bag, relative_file_paths=names)) == whole
 
     def test_what_would_fill_the_disk_is_refused_before(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+        """More than 300 times its size, or more than there is room for beside 500 MB that others may need."""
         bag = with_metadata(compression_mode="FILE", compression_format="zstd")(tmp_path)
-        zstd = pytest.importorskip("backports.zstd")
+        zstd, written, remove = pytest.importorskip("backports.zstd"), [], shutil.rmtree
+        (bag / "bag.mcap").write_bytes(zstd.compress(bytes(50_000_000)))
+        with pytest.raises(InputError, match="more than 300 times its size"):
+            content(bag)
         (bag / "bag.mcap").write_bytes(zstd.compress(random.Random(1).randbytes(50_000) * 200))
-        written = []
-        monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
         usage = shutil.disk_usage(tmp_path)._replace(free=502_000_000)
+        monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
         monkeypatch.setattr("geomid_ros.files.bags.storage.shutil.disk_usage", lambda _: usage)
-        unlink = shutil.rmtree
 
         def measured(path: str, *arguments: object, **named: object) -> None:
             written.append(sum(file.stat().st_size for file in Path(path).iterdir()))
-            unlink(path, *arguments, **named)
+            remove(path, *arguments, **named)
 
-        monkeypatch.setattr("shutil.rmtree", measured)
         monkeypatch.setattr("tempfile._shutil.rmtree", measured)
         with pytest.raises(InputError, match=r"bag.mcap: .*no room to unpack it; set TMPDIR"):
             content(bag)
-        assert written
-        assert max(written) <= 2_000_000
+        assert 0 < max(written) <= 2_000_000
 
 
 def ros1_bag(path: Path, messages: list[Recorded]) -> Path:

@@ -22,10 +22,8 @@ from hypothesis import strategies as st
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.estimation.identifier import Memory
-from geomid_ros.estimation.summary import SummaryState
 from geomid_ros.files import checkpoints
-from geomid_ros.files.archive import decoded, encoded, pack, unpack
+from geomid_ros.files.archive import archived, decoded, encoded, pack, unpack
 from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
@@ -99,21 +97,6 @@ def read(content: bytes) -> Checkpoint:
     return checkpoint
 
 
-def assert_same(a: Memory, b: Memory) -> None:
-    """To the last bit."""
-    assert (a.rows_rejected, a.last_stamp) == (b.rows_rejected, b.last_stamp)
-    np.testing.assert_array_equal(a.last_pose, b.last_pose)
-    assert_same_rows(a.summary, b.summary)
-
-
-def assert_same_rows(a: SummaryState, b: SummaryState) -> None:
-    assert (a.instants, a.time, a.rows, a.weight) == (b.instants, b.time, b.rows, b.weight)
-    np.testing.assert_array_equal(a.counts, b.counts)
-    for ours, theirs in zip(a.factors, b.factors, strict=True):
-        for our, their in zip(ours, theirs, strict=True):
-            np.testing.assert_array_equal(our, their)
-
-
 class TestRoundTrip:
     """What was learned before the crash is known after it."""
 
@@ -126,12 +109,11 @@ class TestRoundTrip:
         other.restore(checkpoint)
         assert checkpoint.accounts == one.pipeline.ledger.topics
         assert other.identifier.rows == one.identifier.rows == 3 * half
-        assert one.warm_start is not None
+        assert archived({"warm": other.warm_start}) == archived({"warm": one.warm_start})
         assert other.warm_start is not None
-        np.testing.assert_array_equal(other.warm_start.parameters, one.warm_start.parameters)
-        assert other.warm_start.rows == 3 * half
         for _ in range(2):
-            assert_same(one.identifier.memory(), other.identifier.memory())
+            rows = [archived(vars(identifier.memory())) for identifier in (one.identifier, other.identifier)]
+            assert rows[0] == rows[1]
             found = [identifier.solve().parameters for identifier in (one.identifier, other.identifier)]
             np.testing.assert_allclose(found[0], found[1], rtol=1e-12, atol=0.0)
             for identifier in (one.identifier, other.identifier):
@@ -155,12 +137,11 @@ class TestRoundTrip:
     def test_others_can_read_it(self) -> None:
         """The reference implementation of the format, if it is installed."""
         tensors = pytest.importorskip("safetensors.numpy").load(small()[1])
-        text, vectors = unpack(small()[1])
+        _, vectors = unpack(small()[1])
         assert bytes(tensors.pop("sha256")) == small()[1][-32:]
         assert tensors.keys() == vectors.keys()
         for name, vector in vectors.items():
             np.testing.assert_array_equal(tensors[name], vector)
-        assert json.loads(text)["accounts"]["joint_states"]["accepted"] == 1234
 
 
 class TestDamage:
@@ -240,21 +221,16 @@ class TestCrafted:
             b'{"__metadata__": {}, "x": []}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [1], "data_offsets": [0, 1e999]}}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [2], "data_offsets": [0, 8]}}',
+            b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [0], "data_offsets": [0, 8]}}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [0], "data_offsets": [8, 0]}}',
             b'{"__metadata__": {"document": "' + b"[" * 100_000 + b'"}}',
             b'{"__metadata__": {"document": "{\\"x\\": Infinity}"}}',
         ],
-        ids=range(10),
+        ids=range(11),
     )
     def test_headers(self, header: bytes) -> None:
         with pytest.raises(InputError):
             read(signed(len(header).to_bytes(8, "little") + header + bytes(8)))
-
-    @pytest.mark.parametrize("told", [b"[1]", b"[3]"])
-    def test_a_vector_of_another_length_than_is_said(self, told: bytes) -> None:
-        body = pack("{}", {"x": np.zeros(2)})[:-32]
-        with pytest.raises(InputError, match="describes other vectors"):
-            unpack(signed(body.replace(b"[2]", told)))
 
     @settings(max_examples=100, deadline=None)
     @given(st.data())
@@ -301,6 +277,10 @@ def newest(path: Path) -> Path:
     """The newer generation."""
     numbers = {name: json.loads(unpack((path / name).read_bytes())[0])["number"] for name in GENERATIONS}
     return path / max(numbers, key=lambda name: numbers[name])
+
+
+def fail(*_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 class TestFolder:
@@ -411,9 +391,6 @@ class TestFolder:
         assert (tmp_path / "elsewhere").is_file()
 
     def test_a_disk_that_fails_leaves_both(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        def fail(_: int) -> None:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
         before = contents(folder)
         with opened(folder) as keeper:
             keeper.restore(session().restore)
@@ -425,22 +402,17 @@ class TestFolder:
             keeper.write(checkpoint_of(300))
         assert restored(folder) == (900, ())
 
-    def test_what_cannot_be_set_aside_is_not_replaced(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        def fail(*_: object) -> str:
-            raise OSError(errno.EROFS, "Read-only file system")
-
-        monkeypatch.setattr(checkpoints, "_renamed", fail)
+    def test_what_cannot_be_written_or_set_aside_is_an_error(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """What is in the way is not replaced; a ledger may be too long."""
         before, other = contents(folder), session(effort_gain=2.0)
-        with opened(folder, other) as keeper:
-            problems = keeper.restore(other.restore)[1]
-            assert len(problems) == 2
-            with pytest.raises(GeomidError, match="cannot be set aside"):
-                keeper.write(other.checkpoint())
-        assert contents(folder) == before
-
-    def test_a_ledger_too_long_is_an_error(self, folder: Path) -> None:
-        before = contents(folder)
         accounts = {str(topic): Account() for topic in range(50_000)}
         with opened(folder) as keeper, pytest.raises(GeomidError, match="cannot be written"):
             keeper.write(replace(checkpoint_of(100), accounts=accounts))
+        monkeypatch.setattr(checkpoints, "_renamed", fail)
+        with opened(folder, other) as keeper:
+            assert len(keeper.restore(other.restore)[1]) == 2
+            with pytest.raises(GeomidError, match="cannot be set aside"):
+                keeper.write(other.checkpoint())
         assert contents(folder) == before

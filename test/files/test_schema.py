@@ -138,11 +138,11 @@ def test_of_a_triangle_its_numbers_alone_are_kept() -> None:
     assert sizes[0] - sizes[1] > 7 * size * (size - 1) // 2
 
 
-@pytest.mark.parametrize(("value", "message"), [(b"1", "expected an array"), (np.array([np.nan]), "finite numbers")])
-def test_what_is_no_array_is_refused(value: object, message: str) -> None:
-    content = archived({"arrays": {"x": value}, "files": {}})
-    with pytest.raises(InputError, match=f"arrays.x is .*{message}"):
-        from_document(Kept, unarchived(content), "its text:")
+def test_what_is_no_array_is_refused() -> None:
+    for value, message in ((b"1", "expected an array"), (np.array([np.nan]), "finite numbers")):
+        content = archived({"arrays": {"x": value}, "files": {}})
+        with pytest.raises(InputError, match=f"arrays.x is .*{message}"):
+            from_document(Kept, unarchived(content), "its text:")
 
 
 def test_a_triangle_without_numbers_is_refused_unmade() -> None:
