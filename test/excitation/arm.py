@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.excitation import DesignTask, design_task
 from geomid_ros.session.options import MotionOptions
@@ -45,7 +43,3 @@ def small_task(wish: MotionOptions | None = None, text: str | None = None) -> De
     """The search for a motion of this arm."""
     asked = wish or MotionOptions(duration=6.0, repeats=1)
     return design_task(text or urdf(), Path("small.urdf"), Configuration({}, "test"), asked)
-
-
-def random_generator() -> np.random.Generator:
-    return np.random.default_rng(4)

@@ -187,8 +187,6 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     r"factors\[0\]\[0\] is .*, expected an array": lambda d, v: v.update(x=v.pop(first(d))),
     "meanings.late is 'x', expected": lambda d, _: d["meanings"].update(late="x"),
     "does not say what": lambda d, _: d.update(meaning=None),
-    "another robot": lambda d, _: d["meaning"].update(robot_description="0"),
-    "filter.cutoff is 8.0, here 5.0": lambda d, _: d["meaning"].update({"filter.cutoff": 8.0}),
     "new is 1, here None": lambda d, _: d["meaning"].update(new=1),
     "rows have 15 folds": lambda d, _: rows_of(d)["factors"].pop(),
     "finite and not negative": lambda d, v: v[rows_of(d)["counts"]["array"]].__imul__(-1.0),

@@ -117,6 +117,14 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
         "the inertia of link 'link3' is not physically consistent",
     ),
     "negative friction": (edited("effects", 0, "value", value=-0.1), "must be positive"),
+    "an impossible smoothing": (
+        edited("effects", 0, "smoothing", value=0.0),
+        "smoothing of coulomb_friction at 'joint1' is 0, expected a number above 0",
+    ),
+    "a smoothing that is no number": (
+        edited("effects", 0, "smoothing", value="slow"),
+        "smoothing of coulomb_friction at 'joint1' is 'slow', expected a finite number",
+    ),
     "another robot": (of_another_robot, "another robot.*leg_link3.*link1, link2, link3"),
 }
 

@@ -235,6 +235,7 @@ def test_a_negative_excess_of_an_older_file_is_predicted_and_no_prior(tmp_path: 
             [{"effect": "effort_delay", "parameters": {}}],
             r"added\[0\] \(effort_delay\): parameters: delay is not given",
         ),
+        ([to_document(effect("effort_delay", delay=2.0))], r"added\[0\] .*delay is 2, expected a number .*below 1"),
         ([to_document(effect("payload", "hand", **PAYLOAD))], "unknown link with a payload 'hand'.*link3"),
     ],
 )
@@ -289,30 +290,6 @@ def test_joints_that_were_locked_for_the_model_are_locked_beside_it(tmp_path: Pa
     heard.append("finger_joint1")
     with pytest.raises(InputError, match=r"joint 'finger_joint1' is missing.*\(--lock\)"):
         opened()
-
-
-@pytest.mark.parametrize(
-    ("smoothing", "expected"),
-    [
-        (0.0, "0, expected a number above 0 and below 9"),
-        (9.5, "9.5, expected a number above 0 and below 9"),
-        (float("nan"), "nan, expected a finite number"),
-        ("slow", "'slow', expected a finite number"),
-    ],
-)
-def test_an_impossible_smoothing_is_refused_by_name(
-    tmp_path: Path, smoothing: Any, expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    level, form = CoulombFriction.parameters
-    monkeypatch.setattr(CoulombFriction, "parameters", (level, replace(form, below=9.0)))
-    session_with(tmp_path, [effect("coulomb_friction", "joint1", level=0.6, smoothing=0.3)])
-    path = tmp_path / "estimate.json"
-    document = json.loads(path.read_text())
-    assert document["effects"][0]["smoothing"] == 0.3
-    document["effects"][0]["smoothing"] = smoothing
-    path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match=f"json: smoothing of coulomb_friction at 'joint1' is {expected}"):
-        LoadedModel.read(str(path))
 
 
 def test_of_several_shapes_the_known_one_counts(tmp_path: Path) -> None:

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from files.recordings import chunks, with_checksums
+from files.recordings import chunks, recorded, with_checksums
 
 from geomid_ros.simulation.description import WRIST_FRAME
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import SimulationResult, simulate
 from geomid_ros.types import FloatArray
 
-from .reading import Recorded, recorded
+from .reading import messages
 
 pytest.importorskip("mujoco")
 
@@ -45,16 +45,11 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> SimulationResult:
     return simulate(tmp_path_factory.mktemp("bags") / "arm", OPTIONS)
 
 
-@pytest.fixture(scope="module")
-def bag(result: SimulationResult) -> Recorded:
-    return recorded(result.bag)
-
-
-def test_bag_carries_no_truth(result: SimulationResult, bag: Recorded) -> None:
+def test_bag_carries_no_truth(result: SimulationResult) -> None:
     truth = json.loads(result.truth.read_text())
     planted = {value for value in numbers([truth["links"], truth["effects"]]) if value != 0.0}
-    description = bag.messages["/robot_description"][0].data
-    content = b"".join(data for _, _, data in bag.raw)
+    description = messages(result.bag, "/robot_description")[0].data
+    content = b"".join(item.raw[1] for item in recorded(result.bag))
     assert len(planted) > 40
     for value in planted:
         assert repr(value) not in description
@@ -62,16 +57,13 @@ def test_bag_carries_no_truth(result: SimulationResult, bag: Recorded) -> None:
     assert sorted(path.name for path in result.bag.iterdir()) == ["arm.mcap", "metadata.yaml"]
 
 
-def test_noise_is_as_large_as_the_truth_says(result: SimulationResult, bag: Recorded, tmp_path: Path) -> None:
+def test_noise_is_as_large_as_the_truth_says(result: SimulationResult, tmp_path: Path) -> None:
     silent = replace(OPTIONS, position_noise=0.0, velocity_noise=0.0, effort_noise=0.0)
-    quiet = recorded(simulate(tmp_path / "arm", silent).bag)
     truth = json.loads(result.truth.read_text())
-    names = bag.messages["/joint_states"][0].name
-    order = [truth["joints"].index(name) for name in names]
+    bags = [messages(bag, "/joint_states") for bag in (result.bag, simulate(tmp_path / "arm", silent).bag)]
+    order = [truth["joints"].index(name) for name in bags[0][0].name]
     for channel in ("position", "velocity", "effort"):
-        loud, still = (
-            np.array([getattr(message, channel) for message in each.messages["/joint_states"]]) for each in (bag, quiet)
-        )
+        loud, still = (np.array([getattr(message, channel) for message in bag]) for bag in bags)
         np.testing.assert_allclose((loud - still).std(0), np.array(truth["noise"][channel])[order], rtol=0.2)
 
 
@@ -94,22 +86,19 @@ OTHER_MACHINE = 1e-6  # rad, rad/s, N, N m: other versions of the libraries roun
 RECIPES: dict[str, SimulationOptions] = runpy.run_path(str(BAGS / "make_bags.py"))["RECIPES"]
 
 
-def joint_values(bag: Recorded) -> FloatArray:
-    states = bag.messages["/joint_states"]
-    return np.array([[state.position, state.velocity, state.effort] for state in states])
-
-
-def wrench_values(bag: Recorded) -> FloatArray:
-    wrenches = [message.wrench for message in bag.messages["/wrench"]]
-    return np.array([[getattr(part, axis) for part in (w.force, w.torque) for axis in "xyz"] for w in wrenches])
+def numbers_of(bag: Path) -> tuple[FloatArray, FloatArray]:
+    """Of joint states and of wrenches."""
+    states = [[state.position, state.velocity, state.effort] for state in messages(bag, "/joint_states")]
+    parts = [(message.wrench.force, message.wrench.torque) for message in messages(bag, "/wrench")]
+    return np.array(states), np.array([[getattr(part, axis) for part in each for axis in "xyz"] for each in parts])
 
 
 def test_recipe_gives_the_same_bag(tmp_path: Path) -> None:
     """Of the shorter one."""
-    shipped, made = recorded(BAGS / "arm3"), recorded(simulate(tmp_path / "arm3", RECIPES["arm3"]).bag)
-    assert shipped.messages["/joint_states"][0].name == made.messages["/joint_states"][0].name
-    np.testing.assert_allclose(joint_values(shipped), joint_values(made), rtol=0.0, atol=OTHER_MACHINE)
-    np.testing.assert_allclose(wrench_values(shipped), wrench_values(made), rtol=0.0, atol=OTHER_MACHINE)
+    shipped, made = BAGS / "arm3", simulate(tmp_path / "arm3", RECIPES["arm3"]).bag
+    assert messages(shipped, "/joint_states")[0].name == messages(made, "/joint_states")[0].name
+    for ours, theirs in zip(numbers_of(shipped), numbers_of(made), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=OTHER_MACHINE)
 
 
 def test_recipe_gives_the_same_robot(tmp_path: Path) -> None:

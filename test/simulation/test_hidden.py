@@ -19,7 +19,7 @@ from geomid_ros.simulation.options import Hidden, SimulationOptions, parse_hidde
 from geomid_ros.simulation.recording import simulate
 from geomid_ros.types import FloatArray
 
-from .reading import recorded
+from .reading import messages
 
 OPTIONS = SimulationOptions(robot="arm7", wrench_frame=WRIST_FRAME, longest_step=QUICK)
 
@@ -76,8 +76,8 @@ def test_what_cannot_be_hidden(hide: tuple[Hidden, ...], message: str) -> None:
         chosen(*hide)
 
 
-def columns(messages: list[Any], name: str) -> FloatArray:
-    return np.array([getattr(message, name) for message in messages])
+def columns(of: list[Any], name: str) -> FloatArray:
+    return np.array([getattr(message, name) for message in of])
 
 
 def test_commands_and_gains_are_the_whole_controller(tmp_path: Path) -> None:
@@ -86,8 +86,7 @@ def test_commands_and_gains_are_the_whole_controller(tmp_path: Path) -> None:
     options = replace(OPTIONS, duration=3.0, hide=(Hidden("coulomb_friction"),), commands=True)
     silent = dict.fromkeys(("position_noise", "velocity_noise", "effort_noise", "force_noise", "torque_noise"), 0.0)
     result = simulate(tmp_path / "recording", replace(options, **silent))
-    bag = recorded(result.bag)
-    states, commands = bag.messages["/joint_states"], bag.messages["/joint_commands"]
+    states, commands = (messages(result.bag, topic) for topic in ("/joint_states", "/joint_commands"))
     assert result.controller is not None
     gains = yaml.safe_load(result.controller.read_text())["joint_trajectory_controller"]["ros__parameters"]["gains"]
     p, d = (np.array([gains[name][key] for name in states[0].name]) for key in ("p", "d"))

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from files.recordings import recorded
 from model.robots import urdf
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import read_description
 from geomid_ros.simulation.motion import WalkTrace
 from geomid_ros.simulation.walking import WalkOptions, parse_feet, simulate_walk, true_bodies, walk
+
+from .reading import messages
 
 FEET = {f"{leg}_foot": 0.022 for leg in ("FL", "FR", "RL", "RR")}
 OPTIONS = WalkOptions(robot="", feet=FEET, imu="imu", duration=24.0, rate=250.0)
@@ -54,10 +55,6 @@ def test_each_gait_lifts_the_feet_that_it_should() -> None:
 def options(tmp_path: Path) -> WalkOptions:
     (tmp_path / "go2.urdf").write_text(urdf("go2.urdf"), encoding="utf-8")
     return replace(OPTIONS, robot=str(tmp_path / "go2.urdf"), gaits=("wobble",), duration=4.0)
-
-
-def messages(bag: Path, topic: str) -> list[Any]:
-    return [item.message for item in recorded(bag) if item.topic == topic]
 
 
 def test_what_is_recorded(options: WalkOptions, tmp_path: Path) -> None:
