@@ -114,7 +114,8 @@ def test_what_is_loaded_is_what_was_fitted_with_a_joint_locked(tmp_path: Path) -
 def rich() -> Identification:
     """With springs, in whose rest the offsets are, and couplings of two joints."""
     effects = ["viscous_friction", "coulomb_friction", "effort_offset", "spring", "coupled_viscous_friction"]
-    return geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", effects=[*effects, "coupled_coulomb_friction"])
+    effects.append("coupled_coulomb_friction")
+    return geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", effects=effects, reader="moveit")
 
 
 @pytest.mark.parametrize("reader", ["mujoco", "gazebo"])
@@ -322,9 +323,8 @@ def test_a_model_for_a_reader_has_the_links_of_the_estimate(saved: Path) -> None
 
 
 def test_moveit_reads_what_is_written_for_any_reader_of_a_urdf() -> None:
-    result = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", reader="moveit")
-    assert result.written.files == handed("urdf").files
-    assert result.document["handover"]["urdf"]["file"] == "identified.urdf"
+    assert rich().written.files == DescriptionTest(rich().session, rich().estimate, "urdf").files
+    assert rich().document["handover"]["urdf"]["file"] == "identified.urdf"
 
 
 def predicted_by(read: ReadBack, samples: Samples) -> FloatArray:

@@ -62,35 +62,26 @@ def test_what_is_written_is_read(written: Path, tmp_path: Path) -> None:
     assert (tmp_path / "again.npz").read_bytes() == written.read_bytes()
 
 
-def headed(change: Callable[[dict], None]) -> Callable[[dict], dict]:
+def arrays(change: Callable[[dict], dict]) -> Callable[[Path], object]:
+    """A file with other arrays."""
+
+    def changed(path: Path) -> None:
+        with np.load(path) as archive:
+            given = dict(archive)
+        np.savez(path, **change(given))
+
+    return changed
+
+
+def headed(change: Callable[[dict], object]) -> Callable[[Path], object]:
+    """A file with another header."""
+
     def changed(arrays: dict) -> dict:
         header = json.loads(str(arrays["posterior"]))
         change(header)
         return arrays | {"posterior": np.array(json.dumps(header))}
 
-    return changed
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (headed(lambda header: header.update(format=3)), "has format 3, this version reads formats 1 and 2"),
-        (headed(lambda header: header["links"].pop()), "of shape"),
-        (headed(lambda header: header["effects"].reverse()), "its text: effects are not in order"),
-        (lambda arrays: arrays | {"covariance": arrays["covariance"].astype("f4")}, "'covariance' is float32"),
-        (lambda arrays: arrays | {"covariance": arrays["covariance"] * np.nan}, "finite"),
-        (lambda arrays: arrays | {"covariance": -arrays["covariance"]}, "not positive semidefinite"),
-        (lambda arrays: arrays | {"covariance": np.triu(arrays["covariance"])}, "not positive semidefinite"),
-        (lambda arrays: arrays | {"parameters": -arrays["parameters"]}, "not physically consistent"),
-        (lambda arrays: arrays | {"scales": 0.0 * arrays["scales"]}, "not positive"),
-        (lambda arrays: arrays | {"prior": np.array([{}], dtype=object)}, "Object arrays"),
-    ],
-)
-def test_what_no_estimate_can_be_is_refused(written: Path, change: Callable[[dict], dict], reason: str) -> None:
-    with np.load(written) as archive:
-        arrays = dict(archive)
-    np.savez(written, **change(arrays))
-    refused(written, reason)
+    return arrays(changed)
 
 
 def flipped(path: Path) -> None:
@@ -114,6 +105,16 @@ def with_a_member_that_is_no_array(path: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
+        (headed(lambda header: header.update(format=3)), "has format 3, this version reads formats 1 and 2"),
+        (headed(lambda header: header["links"].pop()), "of shape"),
+        (headed(lambda header: header["effects"].reverse()), "its text: effects are not in order"),
+        (arrays(lambda own: own | {"covariance": own["covariance"].astype("f4")}), "'covariance' is float32"),
+        (arrays(lambda own: own | {"covariance": own["covariance"] * np.nan}), "finite"),
+        (arrays(lambda own: own | {"covariance": -own["covariance"]}), "not positive semidefinite"),
+        (arrays(lambda own: own | {"covariance": np.triu(own["covariance"])}), "not positive semidefinite"),
+        (arrays(lambda own: own | {"parameters": -own["parameters"]}), "not physically consistent"),
+        (arrays(lambda own: own | {"scales": 0.0 * own["scales"]}), "not positive"),
+        (arrays(lambda own: own | {"prior": np.array([{}], dtype=object)}), "Object arrays"),
         (lambda path: path.write_bytes(path.read_bytes()[:-1]), "cannot be read"),
         (flipped, "cannot be read"),
         (lambda path: np.savez_compressed(path, posterior=np.zeros(10**6)), "compressed"),
@@ -122,7 +123,9 @@ def with_a_member_that_is_no_array(path: Path) -> None:
         (Path.unlink, "cannot be read"),
     ],
 )
-def test_a_damaged_file_is_refused(written: Path, damage: Callable[[Path], object], reason: str) -> None:
+def test_what_is_damaged_or_no_estimate_can_be_is_refused(
+    written: Path, damage: Callable[[Path], object], reason: str
+) -> None:
     damage(written)
     refused(written, reason)
 
@@ -180,9 +183,7 @@ def test_what_would_be_refused_is_not_written(tmp_path: Path) -> None:
 
 def test_files_without_it_are_read(written: Path) -> None:
     assert read_remainder(written) is None
-    with np.load(written) as archive:
-        arrays = headed(lambda header: header.update(format=1))(dict(archive))
-    np.savez(written, **arrays)
+    headed(lambda header: header.update(format=1))(written)
     assert read_remainder(written) is None
     assert np.array_equal(read_posterior(written).covariance, posterior().covariance)
 
@@ -192,18 +193,16 @@ def test_files_without_it_are_read(written: Path) -> None:
     [
         (headed(lambda header: header["remainder"].update(joints=["one"])), "'knots' is float64 of shape"),
         (headed(lambda header: header["remainder"].update(channels=["a", "b", "c"])), "cannot be read"),
-        (lambda arrays: arrays | {"knots": -arrays["knots"]}, "invalid ranges"),
-        (lambda arrays: arrays | {"scales_0": 0.0 * arrays["scales_0"]}, "invalid scales"),
-        (lambda arrays: arrays | {"mean_1": arrays["mean_1"][:2]}, "'triangle_1' is float32 of shape"),
-        (lambda arrays: arrays | {"triangle_0": arrays["triangle_0"].astype("f8")}, "'triangle_0' is float64"),
+        (arrays(lambda own: own | {"knots": -own["knots"]}), "invalid ranges"),
+        (arrays(lambda own: own | {"scales_0": 0.0 * own["scales_0"]}), "invalid scales"),
+        (arrays(lambda own: own | {"mean_1": own["mean_1"][:2]}), "'triangle_1' is float32 of shape"),
+        (arrays(lambda own: own | {"triangle_0": own["triangle_0"].astype("f8")}), "'triangle_0' is float64"),
     ],
 )
 def test_a_remainder_that_cannot_be_is_refused(
-    with_remainder: Path, change: Callable[[dict], dict], reason: str
+    with_remainder: Path, change: Callable[[Path], object], reason: str
 ) -> None:
-    with np.load(with_remainder) as archive:
-        arrays = dict(archive)
-    np.savez(with_remainder, **change(arrays))
+    change(with_remainder)
     refused(with_remainder, reason, read_remainder)
 
 
