@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from model.robots import fixed_base, with_values
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimator import WarmStart
@@ -56,11 +57,10 @@ def samples(of: Session, begin: int, end: int) -> Samples:
     moving = (np.arange(begin, end) < INSTANTS - 20)[:, None]
     motion = np.sin(angles).sum(1), moving * (speeds * np.cos(angles)).sum(1), -(speeds**2 * np.sin(angles)).sum(1)
     stamps = 10**18 + np.arange(begin, end) * 25_000_000
-    nothing, wrenches = np.zeros((end - begin, 0)), np.zeros((end - begin, 0, 6))
-    unknown = Samples(stamps, *motion, np.zeros((end - begin, joints)), nothing, nothing, nothing, wrenches)
+    unknown = fixed_base(stamps, *motion, np.zeros((end - begin, joints)))
     truth = np.append(1.1 * of.model.nominal_inertias, np.full(len(of.model.coefficients), 0.3))
     noise = 0.1 * np.random.default_rng(1).normal(size=(INSTANTS, joints))[begin:end]
-    return replace(unknown, effort=of.model.rows(unknown).coefficients @ truth + noise)
+    return with_values(unknown, effort=of.model.rows(unknown).coefficients @ truth + noise)
 
 
 def learned(end: int = INSTANTS, **values: Any) -> Session:

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from model.robots import Reference, random_samples, urdf
+from model.robots import Reference, fixed_base, random_samples, urdf, with_values
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.files.models.mjcf import mjcf
@@ -185,13 +185,7 @@ def test_a_mounted_sensor_feels_the_weight_that_it_carries() -> None:
     mujoco.mj_inverse(model, data)
     mujoco.mj_rnePostConstraint(model, data)
     mujoco.mj_sensorAcc(model, data)
-    samples = random_samples(robot, 0, count=1, sensors=1)
-    still = Samples(
-        samples.stamps,
-        *(np.zeros((1, 3)) for _ in range(4)),
-        *(np.zeros((1, 0)) for _ in range(3)),
-        np.zeros((1, 1, 6)),
-    )
+    still = with_values(fixed_base(np.zeros(1, int), *np.zeros((4, 1, 3))), wrenches=np.zeros((1, 1, 6)))
     (q,), (v,), (a,) = robot.configuration(still)
     robot.update_motion(q, v, a)
     rows = robot.wrench_rows(robot.subtree("wrist_ft"), "wrist_ft")

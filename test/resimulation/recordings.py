@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from model.robots import Reference, with_values
+from model.robots import Reference, fixed_base, with_values
 
 from geomid_ros.files.models.effects_file import write_sidecar
 from geomid_ros.files.models.mjcf import mjcf
@@ -73,11 +73,9 @@ def recording(
     if not moves:
         position, velocity, acceleration = np.tile(position[:1], (len(position), 1)), 0.0 * velocity, 0.0 * acceleration
     count = len(position)
-    empty = np.zeros((count, 0))
     stamps = 10**12 + round(1e9 * PERIOD) * np.arange(count)
-    still = Samples(
-        stamps, position, velocity, acceleration, np.zeros_like(position), empty, empty, empty, np.zeros((count, 1, 6))
-    )
+    joints = fixed_base(stamps, position, velocity, acceleration, np.zeros_like(position))
+    still = with_values(joints, wrenches=np.zeros((count, 1, 6)))
     _, bodies = Reference(ARM).inverse_dynamics(still, JOINTS)
     disturbance = noise * smooth_noise(count, seed + 1000)
     effort = bodies + added(position, velocity, acceleration) + disturbance[:, :3]

@@ -73,10 +73,6 @@ def test_a_wrong_model_has_more_in_proportion(tmp_path: Path) -> None:
     assert ratios[1] / ratios[0] == pytest.approx(2.0, rel=0.1)
 
 
-def viscous(_: FloatArray, velocity: FloatArray, __: FloatArray) -> FloatArray:
-    return 1.5 * velocity
-
-
 def coulomb(_: FloatArray, velocity: FloatArray, __: FloatArray) -> FloatArray:
     return 0.5 * np.sign(velocity)
 
@@ -85,15 +81,12 @@ def stribeck(_: FloatArray, velocity: FloatArray, __: FloatArray) -> FloatArray:
     return np.sign(velocity) * (0.5 + 0.5 * np.exp(-((velocity / 0.3) ** 2)))
 
 
-def rotor(_: FloatArray, __: FloatArray, acceleration: FloatArray) -> FloatArray:
-    return 0.4 * acceleration
-
-
-CASES: dict[str, tuple[Any, Added]] = {
-    "viscous_friction": (effect("viscous_friction", "joint2", coefficient=1.5), viscous),
-    "coulomb_friction": (effect("coulomb_friction", "joint2", level=0.5), coulomb),
-    "stribeck_friction": (effect("stribeck_friction", "joint2", level=0.5, excess=0.5, speed=0.3), stribeck),
-    "rotor_inertia": (effect("rotor_inertia", "joint2", inertia=0.4), rotor),
+STRIBECK = effect("stribeck_friction", "joint2", level=0.5, excess=0.5, speed=0.3)
+CASES: dict[str, tuple[KnownEffect, Added]] = {
+    "viscous": (effect("viscous_friction", "joint2", coefficient=1.5), lambda _, v, __: 1.5 * v),
+    "coulomb": (effect("coulomb_friction", "joint2", level=0.5), coulomb),
+    "stribeck": (STRIBECK, stribeck),
+    "rotor": (effect("rotor_inertia", "joint2", inertia=0.4), lambda _, __, a: 0.4 * a),
 }
 
 
@@ -304,12 +297,8 @@ def test_in_closed_loop_a_right_model_needs_the_measured_efforts(tmp_path: Path)
 def test_in_closed_loop_a_wrong_one_needs_others_in_proportion(tmp_path: Path) -> None:
     ratios = []
     for stiffness in (2.0, 4.0):
-
-        def spring(position: FloatArray, *_: FloatArray, stiffness: float = stiffness) -> FloatArray:
-            return stiffness * (position - 0.3) * SECOND
-
-        data = recording(spring, noise=0.0, duration=8.0)
-        known = effect("spring", "joint2", stiffness=stiffness, equilibrium=0.3)
+        added, known = spring(stiffness)
+        data = recording(added, noise=0.0, duration=8.0)
         after = files(tmp_path, "after", [known])
         found = commanded(files(tmp_path, "before"), after, data, commands(data, data.effort))
         assert max(found.after.values()) < 0.5
@@ -320,14 +309,12 @@ def test_in_closed_loop_a_wrong_one_needs_others_in_proportion(tmp_path: Path) -
 
 def test_friction_and_sensors_that_only_the_sidecar_says(tmp_path: Path) -> None:
     exact = recording(noise=0.0)
-    velocity = exact.velocity[:, 1]
-    friction = np.zeros_like(exact.effort)
-    friction[:, 1] = np.sign(velocity) * (0.5 + 0.5 * np.exp(-((velocity / 0.3) ** 2)))
+    friction = SECOND * stribeck(exact.position, exact.velocity, exact.acceleration)
     true = exact.effort + friction
     measured = recording().effort + friction
     measured[:, 2] = 1.2 * (measured[:, 2] + 0.4)
     known = [
-        effect("stribeck_friction", "joint2", level=0.5, excess=0.5, speed=0.3),
+        STRIBECK,
         effect("effort_gain", "joint3", gain=1.2),
         effect("effort_offset", "joint3", offset=0.4),
     ]
