@@ -56,7 +56,7 @@ def test_what_a_deciding_motion_shows_is_not_lost_in_making_it_feasible(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In a shaft the best motion collides; bending it, which does not look at rivals, may leave nothing of it."""
-    task = small_task(MotionOptions(duration=6.0, repeats=1, avoid=WALLS))
+    task = small_task(MotionOptions(duration=3.0, repeats=1, avoid=WALLS))
     judge = rival_effects(task.feasibility, written(tmp_path, ELASTIC))
     monkeypatch.setattr(Search, "improved", lambda _, motion: motion.scaled(0.0))
     motion = discriminating_motion(task.feasibility, task.form, judge, np.random.default_rng(1))

@@ -17,7 +17,7 @@ from geomid_ros.types import FloatArray
 from .arm import small_task
 
 TASK = small_task()
-WORTH = 0.15
+WORTH = 0.3
 MOST = 8
 
 

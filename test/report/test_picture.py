@@ -58,7 +58,7 @@ def texts(figure: Figure) -> list[str]:
 
 
 AWKWARD = {
-    "more than the table has": (chain(40), [channel("joint")]),
+    "more than the table has": (chain(31), [channel("joint")]),
     "nothing": ([], []),
     "a point": ([BodyDrawing("p", np.zeros(3), None, POINT, POINT, 0.0)], [channel("joint")]),
     "no numbers": ([BodyDrawing("p", np.zeros(3), None, NOWHERE, NOWHERE, np.nan)], [channel("short", samples=1)]),
