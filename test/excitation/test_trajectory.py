@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from numpy.polynomial import Polynomial
 
-from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.files.trajectories import read_trajectory
 
-from .motions import Motion, bump, lively
+from .motions import Motion, lively
 
 JOINTS = ("shoulder", "elbow")
 
@@ -43,41 +40,6 @@ def test_at_another_speed_the_path_is_the_same(tmp_path: Path) -> None:
         np.testing.assert_allclose(slow.at(5.0 * time)[0], trajectory.at(time)[0], atol=1e-9)
         np.testing.assert_allclose(slow.at(5.0 * time)[1], 0.2 * trajectory.at(time)[1], atol=1e-9)
     np.testing.assert_allclose(trajectory.speeds, np.abs(motion.rows(trajectory.times, 1)).max(axis=0), rtol=1e-8)
-
-
-WRONG: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
-    "no points": ({"points": None}, {}, "expected the lists joint_names and points"),
-    "one point": ({"points": []}, {}, "0 points, expected at least two"),
-    "a joint twice": ({"joint_names": ["elbow", "elbow"]}, {}, "every joint once"),
-    "too few numbers": ({}, {"velocities": [0.0]}, "point 3"),
-    "not finite": ({}, {"accelerations": [0.0, float("nan")]}, "point 3 must have 2 finite"),
-    "no time": ({}, {"time_from_start": None}, "point 3"),
-    "time goes back": ({}, {"time_from_start": {"sec": 0, "nanosec": 1}}, "point 3 is at 1e-09 s, not after"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_a_file_that_is_no_trajectory_is_refused(case: str, tmp_path: Path) -> None:
-    changes, in_point, said = WRONG[case]
-    document, path = bump(JOINTS, 4.0).document(9), tmp_path / "trajectory.yaml"
-    document["points"][3].update(in_point)
-    path.write_text(yaml.safe_dump(document | changes))
-    with pytest.raises(InputError, match=f"{path}.*{said}"):
-        read_trajectory(path)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("joint_names: [a", "cannot be read"),
-        ("a: &x [1]\njoint_names: *x\n", "has aliases"),
-        ("- 1", "not a trajectory"),
-    ],
-)
-def test_text_that_is_no_yaml_and_aliases_are_refused(text: str, said: str, tmp_path: Path) -> None:
-    (tmp_path / "motion.yaml").write_text(text)
-    with pytest.raises(InputError, match=said):
-        read_trajectory(tmp_path / "motion.yaml")
 
 
 FORMS = [

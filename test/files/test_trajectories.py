@@ -121,23 +121,37 @@ def test_a_folder_that_is_no_bag_is_left_as_it_is(tmp_path: Path) -> None:
         save_trajectory(tmp_path / "bag", with_efforts())
 
 
-def without_velocities(point: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in point.items() if key not in ("velocities", "accelerations")}
+STILL: dict[str, Any] = {"velocities": [], "accelerations": []}
+WRONG: dict[str, tuple[dict[str, Any], Any, str]] = {
+    "no points": ({"points": None}, {}, "expected the lists joint_names and points"),
+    "one point": ({"points": []}, {}, "0 points, expected at least two"),
+    "a joint twice": ({"joint_names": ["elbow", "elbow"]}, {}, "every joint once"),
+    "too few numbers": ({}, {"velocities": [0.0]}, "point 5"),
+    "text": ({}, {"positions": "12"}, "point 5 is incomplete; expected lists of numbers"),
+    "not finite": ({}, {"accelerations": [0.0, float("nan")]}, "point 5 must have 2 finite"),
+    "no time": ({}, {"time_from_start": None}, "point 5"),
+    "time goes back": ({}, {"time_from_start": {"sec": 0, "nanosec": 1}}, "point 5 is at 1e-09 s, not after"),
+    "no velocities": ({}, STILL, "point 5 has no velocities: from position to position the speed"),
+    "cut by topic echo": ({}, "...", "point 5 is incomplete.*--full-length"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_file_that_is_no_trajectory_is_refused(case: str, tmp_path: Path) -> None:
+    changes, in_point, said = WRONG[case]
+    document, path = bump(JOINTS, 4.0).document(9), tmp_path / "plan.yaml"
+    points = document["points"]
+    points[5] = in_point if isinstance(in_point, str) else points[5] | in_point
+    path.write_text(yaml.safe_dump(document | changes))
+    with pytest.raises(InputError, match=f"{path}: .*{said}"):
+        read_trajectory(path)
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (without_velocities, "point 5 has no velocities: from position to position the speed"),
-        (lambda _: "...", "point 5 is incomplete.*--full-length"),
-        (lambda point: {**point, "positions": "12"}, "point 5 is incomplete; expected lists of numbers"),
-    ],
+    ("text", "said"),
+    [("joint_names: [a", "cannot be read"), ("a: &x [1]\nb: *x\n", "has aliases"), ("- 1", "not a trajectory")],
 )
-def test_a_point_that_lacks_something_is_named(
-    change: Callable[[dict[str, Any]], Any], said: str, tmp_path: Path
-) -> None:
-    document = bump(JOINTS, 4.0).document(9)
-    document["points"][5] = change(document["points"][5])
-    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(document))
-    with pytest.raises(InputError, match=rf"plan\.yaml: {said}"):
-        read_trajectory(tmp_path / "plan.yaml")
+def test_text_that_is_no_yaml_and_aliases_are_refused(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "motion.yaml").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_trajectory(tmp_path / "motion.yaml")
