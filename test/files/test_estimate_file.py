@@ -20,6 +20,7 @@ from geomid_ros.files.models.effects_file import by_parameter
 from geomid_ros.files.models.estimate_file import EstimateFile, estimate_document, verdict_entry
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import write_model, written_model
+from geomid_ros.files.schema import to_document
 from geomid_ros.model.effects import Quantity, identified_effect
 from geomid_ros.model.effects.friction import CoulombFriction
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -27,6 +28,7 @@ from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
+from .effects import PAYLOAD, effect
 from .estimates import edited, estimate_of, link_estimate
 from .recordings import BAGS
 
@@ -124,6 +126,19 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "a smoothing that is no number": (
         edited("effects", 0, "smoothing", value="slow"),
         "smoothing of coulomb_friction at 'joint1' is 'slow', expected a finite number",
+    ),
+    "an unknown effect": (edited("added", value=[{"effect": "springs"}]), r"added\[0\]: unknown effect 'springs'"),
+    "an effect without its parameter": (
+        edited("added", value=[{"effect": "effort_delay", "parameters": {}}]),
+        r"added\[0\] \(effort_delay\): parameters: delay is not given",
+    ),
+    "an impossible delay": (
+        edited("added", value=[to_document(effect("effort_delay", delay=2.0))]),
+        r"added\[0\] .*delay is 2, expected a number .*below 1",
+    ),
+    "a payload of another robot": (
+        edited("added", value=[to_document(effect("payload", "hand", **PAYLOAD))]),
+        "unknown link with a payload 'hand'.*link3",
     ),
     "another robot": (of_another_robot, "another robot.*leg_link3.*link1, link2, link3"),
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +21,6 @@ from geomid_ros.files.models.estimate_file import estimate_document
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import write_model
-from geomid_ros.files.schema import to_document
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
@@ -225,25 +223,6 @@ def test_a_negative_excess_of_an_older_file_is_predicted_and_no_prior(tmp_path: 
     np.testing.assert_allclose((efforts - rigid)[:, 1], expected, atol=1e-9)
     session.identifier.add(samples)
     assert all(one.value > 0.0 for one in session.identifier.solve().effects if one.name == "stribeck_friction")
-
-
-@pytest.mark.parametrize(
-    ("added", "message"),
-    [
-        ([{"effect": "springs"}], r"added\[0\]: unknown effect 'springs'"),
-        (
-            [{"effect": "effort_delay", "parameters": {}}],
-            r"added\[0\] \(effort_delay\): parameters: delay is not given",
-        ),
-        ([to_document(effect("effort_delay", delay=2.0))], r"added\[0\] .*delay is 2, expected a number .*below 1"),
-        ([to_document(effect("payload", "hand", **PAYLOAD))], "unknown link with a payload 'hand'.*link3"),
-    ],
-)
-def test_what_cannot_be_used_is_named(tmp_path: Path, added: Any, message: str) -> None:
-    document = estimate_document(estimate_of(link_estimate("link3", ("tool",))), {})
-    write_json(tmp_path / "estimate.json", json.loads(json.dumps(document)) | {"added": added})
-    with pytest.raises(InputError, match=rf"estimate\.json: {message}"):
-        Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
 
 
 def test_information_stands_where_the_links_of_the_robot_stand(tmp_path: Path) -> None:
