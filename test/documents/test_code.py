@@ -69,7 +69,10 @@ def commands(document: str) -> Iterator[list[str]]:
 def test_commands_exist_with_their_options() -> None:
     """The parser of the command line takes them; values are checked where they are one of a few."""
     context = click.Context(root)
-    for document, (name, *arguments) in ((d, typed) for d in DOCUMENTS for typed in commands(d)):
+    found = [(document, typed) for document in DOCUMENTS for typed in commands(document)]
+    assert len(found) > 40
+    assert {name for _, (name, *_) in found} == set(root.list_commands(context)) - {"demo"}
+    for document, (name, *arguments) in found:
         command = root.get_command(context, name)
         assert command is not None, f"{document}: geomid {name}"
         of_it = click.Context(command, help_option_names=root.context_settings["help_option_names"])  # it keeps them
@@ -82,14 +85,12 @@ def test_commands_exist_with_their_options() -> None:
                     assert parse_hidden(value).effect in {*SIZES, NOTHING}, f"{document}: {value}"
 
 
-def test_the_commands_are_seen() -> None:
-    found = [name for document in DOCUMENTS for name, *_ in commands(document)]
-    assert len(found) > 40
-    assert set(found) == set(root.list_commands(click.Context(root))) - {"demo"}
-
-
-def test_what_ros_is_told_exists() -> None:
+def test_what_ros_and_python_are_told_exists() -> None:
     for line in LINES:
+        for module in re.findall(r"python[\d.]* -m\s+(benchmarks[\w.]*|geomid_ros[\w.]*)", line):
+            assert importlib.util.find_spec(module), line
+        for file in re.findall(r"python[\d.]* ((?:bags|examples|docs|test)/\S+\.py)", line):
+            assert (ROOT / file).exists(), line
         if "ros2 launch geomid_ros" in line:
             words = line.split("geomid_ros", 1)[1].split()
             assert (ROOT / "launch" / words[0]).exists(), line
@@ -100,14 +101,6 @@ def test_what_ros_is_told_exists() -> None:
             assert line.split("ros2 run geomid_ros ")[1].split()[0] in EXECUTABLES, line
         if match := re.search(r"/geomid(/[\w/]+)", line):
             assert f"~{match[1]}" in NODE, line
-
-
-def test_modules_that_are_run_exist() -> None:
-    for line in LINES:
-        for module in re.findall(r"python[\d.]* -m\s+(benchmarks[\w.]*|geomid_ros[\w.]*)", line):
-            assert importlib.util.find_spec(module), line
-        for file in re.findall(r"python[\d.]* ((?:bags|examples|docs|test)/\S+\.py)", line):
-            assert (ROOT / file).exists(), line
 
 
 def test_topics_services_and_parameters_exist() -> None:
@@ -132,18 +125,15 @@ def test_parameter_files_are_read() -> None:
         assert Configuration(content["ros__parameters"], document)
 
 
-def test_python_compiles_and_uses_names_that_exist() -> None:
-    for document, block in of_language("python"):
-        compile(block.text, document, "exec")
-        for name in re.findall(r"\bgeomid_ros\.(\w+)", block.text):
-            assert hasattr(geomid_ros, name) or importlib.util.find_spec(f"geomid_ros.{name}"), name
-
-
-def test_every_python_block_runs() -> None:
+def test_python_compiles_uses_names_that_exist_and_runs() -> None:
     """Here, or by tests that need more for it: test_new_effect.py, api/test_front_door.py, files/test_posterior.py."""
     elsewhere = [document for document, block in of_language("python") if not block.runs]
     assert elsewhere == ["CONTRIBUTING.md", "docs/pages/use/library.md", "docs/pages/use/read.md"]
     assert {document for document, block in of_language("python") if block.runs} == PRINTED.keys()
+    for document, block in of_language("python"):
+        compile(block.text, document, "exec")
+        for name in re.findall(r"\bgeomid_ros\.(\w+)", block.text):
+            assert hasattr(geomid_ros, name) or importlib.util.find_spec(f"geomid_ros.{name}"), name
 
 
 def user_s_folder(path: Path) -> Path:

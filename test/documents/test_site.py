@@ -23,32 +23,20 @@ def python_with_mkdocs() -> str:
     pytest.skip("mkdocs is not installed: make site")
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("site")
-    arguments = ["--strict", "--config-file", str(ROOT / "docs/mkdocs.yml"), "--site-dir", str(folder)]
+def test_it_is_whole_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    arguments = ["--strict", "--config-file", str(ROOT / "docs/mkdocs.yml"), "--site-dir", str(site)]
     command = [python_with_mkdocs(), "-m", "mkdocs", "build", *arguments]
-    built = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, cwd=ROOT)
-    assert built.returncode == 0, built.stderr
-    return folder
-
-
-def test_every_page_is_there(site: Path) -> None:
+    run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, cwd=ROOT)
+    assert run.returncode == 0, run.stderr
     pages = {path.relative_to(PAGES).with_suffix(".html") for path in PAGES.rglob("*.md")}
     built = {path.relative_to(site) for path in site.rglob("*.html")}
     assert pages < built
     assert Path("use/notebook.html") in built
-
-
-def test_formulas_docstrings_and_pictures_are_there(site: Path) -> None:
     assert "<mfrac>" in (site / "method/index.html").read_text(encoding="utf-8")
     assert "weigh_payload" in (site / "api/index.html").read_text(encoding="utf-8")
     assert "data:image/png;base64," in (site / "use/notebook.html").read_text(encoding="utf-8")
     assert (site / "figures/arm7.gif").stat().st_size > 0
-
-
-def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
-    """No script, style or picture of another machine."""
     for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         for tag in ('src="http', 'rel="stylesheet" href="http', 'src="//'):
