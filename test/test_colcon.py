@@ -55,35 +55,21 @@ def test_one_version() -> None:
     assert declared == geomid_ros.__version__ == version("geomid_ros")
 
 
-@pytest.mark.parametrize("folder", ["config", "launch"])
-def test_shared_files_are_installed(workspace: Path, folder: str) -> None:
-    installed = workspace / "install/geomid_ros/share/geomid_ros" / folder
-    assert contents(installed) == contents(workspace / "src/geomid_ros" / folder)
-
-
-def test_package_is_indexed(workspace: Path) -> None:
-    share = workspace / "install/geomid_ros/share"
+def test_the_package_is_installed_whole_and_its_command_line_runs(workspace: Path) -> None:
+    """Folders without ``__init__.py`` and data that ``setup.py`` does not name would be missing."""
+    share, source = workspace / "install/geomid_ros/share", workspace / "src/geomid_ros"
+    for folder in ("config", "launch"):
+        assert contents(share / "geomid_ros" / folder) == contents(source / folder)
     assert (share / "geomid_ros/package.xml").is_file()
     assert (share / "ament_index/resource_index/packages/geomid_ros").is_file()
-
-
-def test_executables_are_where_ros2_run_looks(workspace: Path) -> None:
-    folder = workspace / "install/geomid_ros/lib/geomid_ros"
-    assert {path.name for path in folder.iterdir()} == set(EXECUTABLES)
-    assert all(os.access(folder / name, os.X_OK) for name in EXECUTABLES)
-
-
-def test_sourced_workspace_holds_the_whole_package(workspace: Path) -> None:
-    """Folders without ``__init__.py`` and data that ``setup.py`` does not name would be missing."""
+    executables = workspace / "install/geomid_ros/lib/geomid_ros"
+    assert {path.name for path in executables.iterdir()} == set(EXECUTABLES)
+    assert all(os.access(executables / name, os.X_OK) for name in EXECUTABLES)
     where = shlex.quote("import geomid_ros; print(geomid_ros.__path__[0])")
     installed = Path(run(f". install/setup.bash && {shlex.quote(sys.executable)} -c {where}", workspace).strip())
     assert installed.is_relative_to(workspace / "install")
-    compiled = Path("geometry/_native.abi3.so")
-    assert contents(installed) == contents(workspace / "src/geomid_ros/geomid_ros") | {compiled}
-
-
-def test_sourced_workspace_runs_the_command_line(workspace: Path) -> None:
-    run(". install/setup.bash && install/geomid_ros/lib/geomid_ros/geomid --help", workspace)
+    assert contents(installed) == contents(source / "geomid_ros") | {Path("geometry/_native.abi3.so")}
+    run(f". install/setup.bash && {executables}/geomid --help", workspace)
 
 
 def test_colcon_test_passes(workspace: Path) -> None:

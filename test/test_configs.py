@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,6 @@ MEASURED = ROOT.parent / "shared" / "data"
 SHIPPED = sorted(path for path in (ROOT / "config").glob("*.yaml") if path.name != "geomid.yaml")
 EXAMPLE = re.compile(r"^( *)# ( *(?:# .*|[a-z_0-9.]+:(?: \S.*)?))$")  # a parameter that is only shown
 
-each = pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
 needs_recordings = pytest.mark.skipif(not MEASURED.is_dir(), reason=f"the measured recordings are not at {MEASURED}")
 
 
@@ -43,28 +43,29 @@ def leaves(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-@each
-def test_it_is_valid_as_it_is_and_with_what_it_shows(path: Path, tmp_path: Path) -> None:
-    shown = Configuration.read(in_force(path, tmp_path)).given_values
-    assert Configuration.read(path).given_values.keys() <= shown.keys()
-    assert shown
-
-
-@each
-def test_values_have_the_type_that_ros_needs(path: Path, tmp_path: Path) -> None:
-    """The node takes no integer for a real number, and cannot tell the type of an empty list."""
-    for name, value in leaves(yaml.safe_load(in_force(path, tmp_path).read_text())["/**"]["ros__parameters"]).items():
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_a_file_is_valid_typed_and_explained(path: Path, tmp_path: Path) -> None:
+    """As it is, and with what it shows. The node takes no integer for a real number, and cannot tell the type of an
+    empty list; topics are relative, so that they move with the node into a namespace."""
+    text, shown = path.read_text(encoding="utf-8"), in_force(path, tmp_path)
+    configuration = Configuration.read(shown)
+    assert configuration.given_values
+    assert Configuration.read(path).given_values.keys() <= configuration.given_values.keys()
+    for name, value in leaves(yaml.safe_load(shown.read_text())["/**"]["ros__parameters"]).items():
         default = find_parameter(name).default
         assert type(value) is type(default), name
         if isinstance(value, list):
-            assert value, name
             assert {type(entry) for entry in value} == {type(default[0])}, name
+    assert all(re.fullmatch(r"[a-z0-9_]+(/[a-z0-9_]+)*", sensor.topic) for sensor in configuration.sensors)
+    assert f"ros2 launch geomid_ros geomid.launch.py config:={path.name}" in text
+    (heading,) = re.findall(r'Read first: "(.*)" in config/README.md', text)
+    assert f"\n## {heading}\n" in README
+    assert f"`{path.name}`" in README
+    assert list(unexplained(text.splitlines())) == []
 
 
-@each
-def test_every_kind_of_value_is_explained(path: Path) -> None:
-    """Where a key stands for the first time, a comment stands above it, or above what it is part of."""
-    lines = path.read_text(encoding="utf-8").splitlines()
+def unexplained(lines: list[str]) -> Iterator[str]:
+    """Lines where a key stands for the first time without a comment above it, or above what it is part of."""
     seen: set[str] = set()
     for number, line in enumerate(lines):
         key, _, value = line.strip().partition(":")
@@ -74,23 +75,8 @@ def test_every_kind_of_value_is_explained(path: Path) -> None:
         above = number - 1
         while lines[above].endswith(":") and not lines[above].strip().startswith("#"):
             above -= 1
-        assert lines[above].strip().startswith("#"), f"{path.name}: {line.strip()}"
-
-
-@each
-def test_topics_are_relative(path: Path, tmp_path: Path) -> None:
-    """So that they move with the node into a namespace."""
-    for sensor in Configuration.read(in_force(path, tmp_path)).sensors:
-        assert re.fullmatch(r"[a-z0-9_]+(/[a-z0-9_]+)*", sensor.topic)
-
-
-@each
-def test_it_says_how_it_is_used_and_what_must_be_known_before(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    assert f"ros2 launch geomid_ros geomid.launch.py config:={path.name}" in text
-    (heading,) = re.findall(r'Read first: "(.*)" in config/README.md', text)
-    assert f"\n## {heading}\n" in README
-    assert f"`{path.name}`" in README
+        if not lines[above].strip().startswith("#"):
+            yield line.strip()
 
 
 def test_a_frame_may_have_another_name_in_messages() -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from benchmarks.exchanged import Split, splits
+from benchmarks.exchanged import splits
 from geomid_ros.model.samples import Samples
 
 COUNT, PERIOD = 1000, 20_000_000  # 20 s
@@ -22,27 +21,18 @@ def stamps(parts: tuple[Samples, ...]) -> set[int]:
     return {int(stamp) for part in parts for stamp in part.stamps}
 
 
-@pytest.fixture
-def found() -> dict[str, Split]:
+def test_nothing_is_trained_and_tested_on() -> None:
+    """Thirds and bags are tested once each, and fast windows where speeds differ."""
     faster = np.where(np.arange(COUNT) // 100 % 2, 1.0, 0.4)
     bags = {"one": recording(0, faster), "two": recording(10**12, np.ones(COUNT)), "three": recording(10**13, faster)}
-    return {split.name: split for split in splits(bags)}
-
-
-def test_nothing_is_trained_and_tested_on(found: dict[str, Split]) -> None:
+    found = {split.name: split for split in splits(bags)}
     assert len(found) == 3 + 3 * 5 + 2
     for split in found.values():
         assert not stamps(split.train) & stamps(split.test), split.name
         assert all(map(len, (*split.train, *split.test))), split.name
-
-
-def test_thirds_and_bags_are_tested_once_each(found: dict[str, Split]) -> None:
     for words in ("third", "+"):
         tested = [stamp for name, split in found.items() if words in name for stamp in stamps(split.test)]
         assert len(tested) == len(set(tested)) == 3 * COUNT
-
-
-def test_the_fast_windows_are_tested_where_speeds_differ(found: dict[str, Split]) -> None:
     by_speed = {name: split for name, split in found.items() if "slow" in name}
     assert set(by_speed) == {"one: slow -> fast", "three: slow -> fast"}
     for split in by_speed.values():

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands.running import found_only
 from files.recordings import BAGS, TYPES, Recorded, recorded, write_bag
 from signals.unitree import low_cmd, low_state, write_unitree_bag
 
@@ -55,11 +56,27 @@ def masses(found: geomid_ros.Identification) -> np.ndarray:
     return np.array([link.mass for link in found.links])
 
 
-def test_efforts_are_those_of_commands_and_their_delay_is_found(without_efforts: Path) -> None:
+@pytest.fixture(scope="module")
+def measured() -> geomid_ros.Identification:
+    """From the efforts that were measured."""
+    with pytest.MonkeyPatch.context() as patch:
+        found_only(patch)
+        return geomid_ros.identify(BAG, URDF, candidates=())
+
+
+@pytest.fixture(scope="module")
+def found(without_efforts: Path) -> geomid_ros.Identification:
+    """From the commands alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        found_only(patch)
+        return geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=GAINS, candidates=())
+
+
+def test_efforts_are_those_of_commands_and_their_delay_is_found(
+    measured: geomid_ros.Identification, found: geomid_ros.Identification
+) -> None:
     """A command that holds until the next one comes is late by half of the time between them: it is found to act that
     much earlier."""
-    measured = geomid_ros.identify(BAG, URDF, candidates=())
-    found = geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=GAINS, candidates=())
     (left,) = (effect for effect in found.effects if effect.name == "command_delay")
     delay = found.session.configuration["command.delay"] + left.value
     assert delay == pytest.approx(1e-9 * (DELAY - PERIOD / 2), abs=1.5e-3)
@@ -68,19 +85,17 @@ def test_efforts_are_those_of_commands_and_their_delay_is_found(without_efforts:
     assert found.verdict.word == measured.verdict.word
     for joint in JOINTS:
         assert found.rms[joint] < 1.3 * measured.rms[joint]
-    file = without_efforts.parent / "controller.yaml"
+
+
+def test_wrong_gains_are_named_by_reported_efforts_and_those_of_a_controller_s_file_are_right(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", commanded(0.5))
+    (reason,) = geomid_ros.identify(bag, URDF, command=TOPIC, gains=GAINS, candidates=()).verdict.reasons
+    assert "'joint1', given is 200:4" in reason
+    file = tmp_path / "controller.yaml"
     gains = {joint: {"p": p, "d": d} for joint, p, d in zip(JOINTS, KP.tolist(), KD.tolist(), strict=True)}
     file.write_text(json.dumps({"controller": {"ros__parameters": {"gains": gains}}}))
-    again = geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=str(file), candidates=())
-    assert again.rms == found.rms
-
-
-def test_wrong_gains_are_named_by_reported_efforts(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", commanded(0.5))
-    found = geomid_ros.identify(bag, URDF, command=TOPIC, gains=GAINS, candidates=())
-    (reason,) = found.verdict.reasons
-    assert "'joint1', given is 200:4" in reason
-    right = geomid_ros.identify(write_bag(tmp_path / "right", commanded(1.0)), URDF, command=TOPIC, gains=GAINS)
+    bag = write_bag(tmp_path / "right", commanded(1.0))
+    right = geomid_ros.identify(bag, URDF, command=TOPIC, gains=str(file), candidates=())
     assert not [each for each in right.verdict.reasons if "gains" in each]
 
 
@@ -93,30 +108,27 @@ def test_wrong_gains_are_named_by_reported_efforts(tmp_path: Path) -> None:
         ("joint1=200:4", "'joint2' has no gains"),
     ],
 )
-def test_bad_gains(without_efforts: Path, gains: str, said: str) -> None:
+def test_bad_gains_and_an_absent_topic_are_named(without_efforts: Path, gains: str, said: str) -> None:
     with pytest.raises(InputError, match="gains") as error:
         geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=gains)
     assert said in str(error.value)
-
-
-def test_an_absent_topic_is_named(without_efforts: Path) -> None:
     with pytest.raises(InputError, match="--command"):
         geomid_ros.identify(without_efforts, URDF, command="/other", gains=GAINS)
 
 
 @pytest.fixture(scope="module")
-def model(without_efforts: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def model(found: geomid_ros.Identification, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("model")
-    geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=GAINS, candidates=()).save(folder, report=False)
+    found.save(folder, report=False)
     return folder / "estimate.json"
 
 
 def test_a_gap_is_judged_beside_the_delay_of_commands(without_efforts: Path, model: Path) -> None:
     """On the recording that a model is from nothing is found beside it, as far as it goes."""
-    found = geomid_ros.find_gap(without_efforts, URDF, model=model, command=TOPIC, gains=GAINS)
-    (note,) = (note for note in found.session.notes if note.startswith("commands act"))
+    gap = geomid_ros.find_gap(without_efforts, URDF, model=model, command=TOPIC, gains=GAINS)
+    (note,) = (note for note in gap.session.notes if note.startswith("commands act"))
     assert float(note.split()[2]) == pytest.approx(1e-6 * (DELAY - PERIOD / 2), abs=1.5)
-    assert not found.findings
+    assert not gap.findings
 
 
 def test_set_points_that_would_not_be_read_are_refused(without_efforts: Path, model: Path) -> None:
@@ -143,12 +155,12 @@ def unitree() -> Iterator[tuple[str, int, bytes]]:
         yield "/lowcmd", item.time + 1, low_cmd(np.array([wanted, none, none, kp, kd]).T)
 
 
-def test_commands_of_unitree_have_the_gains_that_come_with_them(tmp_path: Path) -> None:
-    bag, motors = write_unitree_bag(tmp_path / "bag", unitree()), {"motors": list(JOINTS)}
-    measured, found = (
-        geomid_ros.identify(bag, URDF, config=motors, joint_topic="/lowstate", candidates=(), **own)
-        for own in ({}, {"command": "/lowcmd", "gains": GAINS})
-    )
+def test_commands_of_unitree_have_the_gains_that_come_with_them(
+    measured: geomid_ros.Identification, tmp_path: Path
+) -> None:
+    bag, given = write_unitree_bag(tmp_path / "bag", unitree()), {"command": "/lowcmd", "gains": GAINS}
+    motors = {"motors": list(JOINTS)}
+    found = geomid_ros.identify(bag, URDF, config=motors, joint_topic="/lowstate", candidates=(), **given)
     np.testing.assert_allclose(masses(found), masses(measured), rtol=0.02)
     assert found.verdict.word == measured.verdict.word
     for joint in JOINTS:

@@ -88,26 +88,38 @@ def test_halves_of_a_recording_are_alike(halves: tuple[Path, Path], tmp_path: Pa
     assert "Nothing differs beyond the joint 95 % intervals." in printed
     held_out = json.loads(halves[0].read_text())["rms"]["held_out"]
     assert {error.name: error.first for error in found.errors} == held_out
+    assert not any(note.startswith("only") for note in found.notes)
 
 
-def test_effects_of_one_result_alone_are_said(halves: tuple[Path, Path], tmp_path: Path) -> None:
+def test_what_only_one_result_has_is_said(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    """Effects, and a link of other parts, which is left out."""
     first, document = halves[0], json.loads(halves[1].read_text())
-    document["effects"] = [effect for effect in document["effects"] if effect["name"] != "rotor_inertia"][1:]
-    (tmp_path / "less.json").write_text(json.dumps(document))
-    found = geomid_ros.compare(first, tmp_path / "less.json")
+    effects = [effect for effect in document["effects"] if effect["name"] != "rotor_inertia"][1:]
+    links = document["links"]
+    links[-1] |= {"merged": ["another_tool"], "mass": 10.0 * links[-1]["mass"]}
+    other = changed_copy(halves[1], tmp_path / "other", effects=effects, links=links)
+    found = geomid_ros.compare(first, other)
     only = f"only {first} has rotor inertia at 7 places, viscous friction of joint1"
     assert only in found.notes
-    assert f"Note: {only}"[:40] in done("compare", first, tmp_path / "less.json", "--out", tmp_path)
-    assert not any(note.startswith("only") for note in geomid_ros.compare(*halves).notes)
+    assert found.compared.not_compared == ("link7",)
+    assert "link7" not in {each.place for each in found.compared.differences}
+    printed = done("compare", first, other, "--out", tmp_path)
+    assert f"Note: {only}"[:40] in printed
+    assert "Not compared: link7" in printed
 
 
-def test_a_mass_that_was_changed_is_named(planted: tuple[Path, Path]) -> None:
-    """That link, none other, and by as much as it was."""
+def test_a_mass_that_was_changed_is_named(planted: tuple[Path, Path], tmp_path: Path) -> None:
+    """That link, none other, and by as much as it was; on the page, too."""
     found = geomid_ros.compare(*planted)
     (changed,) = found.compared.changed
     assert changed.link == LINK
     assert abs(changed.mass.value - 0.2 * mass_of(ARM7, LINK)) < 4.0 * changed.mass.std
     assert changed.sentence in repr(found)
+    page = Page(found.report(tmp_path / "compare.html").read_text(encoding="utf-8"))
+    assert f"{changed.mass.value:+.3g} ± {1.96 * changed.mass.std:.2g} kg" in page.text
+    assert all(str(path) in page.text for path in planted)
+    assert f"All {len(found.compared.differences)} numbers" in page.text
+    assert not {"script", "iframe", "link"} & {tag for tag, _ in page.elements}
     back = geomid_ros.compare(*reversed(planted))
     assert back.compared.changed[0].link == LINK
     assert back.compared.changed[0].mass.value < 0.0
@@ -167,17 +179,6 @@ def test_both_predict_a_recording(halves: tuple[Path, Path]) -> None:
         assert error.first < error.second < bare.second, error.name
 
 
-def test_the_page_has_it_all(planted: tuple[Path, Path], tmp_path: Path) -> None:
-    found = geomid_ros.compare(*planted)
-    page = Page(found.report(tmp_path / "compare.html").read_text(encoding="utf-8"))
-    (changed,) = found.compared.changed
-    assert f"{changed.mass.value:+.3g} ± {1.96 * changed.mass.std:.2g} kg" in page.text
-    for path in planted:
-        assert str(path) in page.text
-    assert f"All {len(found.compared.differences)} numbers" in page.text
-    assert not {"script", "iframe", "link"} & {tag for tag, _ in page.elements}
-
-
 def changed_copy(estimate: Path, folder: Path, **entries: Any) -> Path:
     """An estimate that says something else."""
     shutil.copytree(estimate.parent, folder)
@@ -186,13 +187,14 @@ def changed_copy(estimate: Path, folder: Path, **entries: Any) -> Path:
     return folder / "estimate.json"
 
 
-@pytest.mark.usefixtures("without_pictures")
 def test_another_robot_is_refused_by_name(halves: tuple[Path, Path], tmp_path: Path) -> None:
     arm3 = BAGS / "arm3.urdf"
     message = refused("compare", halves[0], arm3, "--out", tmp_path)
     assert f"{arm3}: a model of another robot than {halves[0]}. Links of {arm3}: " in message
-    geomid_ros.identify(BAGS / "arm3", arm3, effects=[]).save(tmp_path / "arm3")
-    message = refused("compare", halves[0], tmp_path / "arm3/estimate.json", "--out", tmp_path)
+    links = json.loads(halves[1].read_text())["links"]
+    links[-1]["merged"] = ["another_tool"]
+    other = changed_copy(halves[1], tmp_path / "arm3", robot="arm3", links=links)
+    message = refused("compare", halves[0], other, "--out", tmp_path)
     assert re.search(r"\('arm3'\): a model of another robot than \S+ \('arm7'\)", message), message
 
 
@@ -206,16 +208,12 @@ def test_what_is_no_result_is_refused(halves: tuple[Path, Path], tmp_path: Path)
     links[0]["std"] = {"mass": "much"}
     wrong = changed_copy(halves[0], tmp_path / "wrong", links=links)
     assert "links[0].std.com is not given" in refused("compare", halves[0], wrong, "--out", tmp_path)
-
-
-def test_a_link_of_other_parts_is_left_out_and_said(halves: tuple[Path, Path], tmp_path: Path) -> None:
-    links = json.loads(halves[1].read_text())["links"]
-    links[-1] |= {"merged": ["another_tool"], "mass": 10.0 * links[-1]["mass"]}
-    other = changed_copy(halves[1], tmp_path / "other", links=links)
-    found = geomid_ros.compare(halves[0], other)
-    assert found.compared.not_compared == ("link7",)
-    assert "link7" not in {each.place for each in found.compared.differences}
-    assert "Not compared: link7" in done("compare", halves[0], other, "--out", tmp_path)
+    bare = ARM7.read_text()
+    for link in ("link7", "flange", "tool"):  # neither at the link nor at those that are fixed to it
+        bare = re.sub(rf'(<link name="{link}">.*?)<inertial>.*?</inertial>', r"\1", bare, count=1, flags=re.DOTALL)
+    (tmp_path / "bare.urdf").write_text(bare)
+    message = refused("compare", halves[0], tmp_path / "bare.urdf", "--out", tmp_path)
+    assert "link 'link7' has no <inertial>" in message
 
 
 def test_friction_that_drifted_differs(halves: tuple[Path, Path], tmp_path: Path) -> None:
@@ -247,13 +245,3 @@ def test_what_counts_as_exact_or_was_fitted_is_said(halves: tuple[Path, Path], t
     both = geomid_ros.compare(*halves).compared.differences
     (known,) = (each for each in both if (each.place, each.parameter) == ("link7", "mass"))
     assert 0.0 < mass.half_width < known.half_width
-
-
-def test_a_urdf_without_an_inertial_is_refused(halves: tuple[Path, Path], tmp_path: Path) -> None:
-    """Neither at the link nor at those that are fixed to it."""
-    text = ARM7.read_text()
-    for link in ("link7", "flange", "tool"):
-        text = re.sub(rf'(<link name="{link}">.*?)<inertial>.*?</inertial>', r"\1", text, count=1, flags=re.DOTALL)
-    (tmp_path / "bare.urdf").write_text(text)
-    message = refused("compare", halves[0], tmp_path / "bare.urdf", "--out", tmp_path)
-    assert "link 'link7' has no <inertial>" in message

@@ -54,58 +54,40 @@ def typed() -> dict[str, str]:
     return {alias.name: str(node.module) for node in block.body for alias in getattr(node, "names", ())}
 
 
-@pytest.mark.parametrize("name", geomid_ros.__all__)
-def test_every_name_is_what_a_type_checker_takes_it_for(name: str) -> None:
-    value = getattr(geomid_ros, name)
-    assert value is getattr(import_module(typed()[name]), name)
-    assert value.__doc__
-
-
-def test_there_are_no_other_names() -> None:
+def test_every_name_is_what_a_type_checker_takes_it_for_and_there_are_no_others() -> None:
+    for name in geomid_ros.__all__:
+        value = getattr(geomid_ros, name)
+        assert value is getattr(import_module(typed()[name]), name)
+        assert value.__doc__
     assert typed().keys() == set(geomid_ros.__all__)
     assert set(dir(geomid_ros)) == {*geomid_ros.__all__, "__version__"}
     with pytest.raises(AttributeError, match="'geomid_ros' has no attribute 'indentify'"):
         _ = geomid_ros.indentify
 
 
-@pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the first lines of the page leave behind, for a small arm with friction at one joint."""
+def test_the_first_lines_of_the_page_find_and_name_friction_and_write_it(tmp_path: Path) -> None:
+    """Of a small arm with friction at one joint."""
     pytest.importorskip("mujoco")
-    folder = tmp_path_factory.mktemp("readme")
-    (folder / "robot.urdf").write_text((BAGS / "arm3.urdf").read_text())
+    (tmp_path / "robot.urdf").write_text((BAGS / "arm3.urdf").read_text())
     hidden = (Hidden("coulomb_friction", "joint2", LEVEL),)
-    simulate(folder / "my_bag", SimulationOptions(robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=hidden))
+    options = SimulationOptions(robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=hidden)
+    simulate(tmp_path / "my_bag", options)
     page = (ROOT / "docs/pages/use/library.md").read_text(encoding="utf-8")
-    lines = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0]
-    names: dict[str, Any] = {"folder": folder}
-    with chdir(folder):
-        exec(lines, names)
-    return names
-
-
-def test_the_friction_is_identified(shown: dict[str, Any]) -> None:
-    found = shown["found"]
+    shown: dict[str, Any] = {}
+    with chdir(tmp_path):
+        exec(re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0], shown)
+    found, gap = shown["found"], shown["gap"]
     levels = {effect.joint: effect for effect in found.effects if effect.name == "coulomb_friction"}
     assert levels["joint2"].value == pytest.approx(LEVEL, rel=0.05)
     assert levels["joint1"].value < 0.05 * LEVEL
     assert found.rms.keys() == found.rms_nominal.keys() == {"joint1", "joint2", "joint3"}
     assert found.rms["joint2"] < 0.1 * found.rms_nominal["joint2"]
-
-
-def test_the_friction_is_named(shown: dict[str, Any]) -> None:
-    gap = shown["gap"]
     assert gap.verdict == "named"
     assert (gap.findings[0].effect, gap.findings[0].joint) == ("coulomb_friction", "joint2")
     assert gap.findings[0].parameters["level"].value == pytest.approx(LEVEL, rel=0.05)
     assert gap.findings[0].sentence in repr(gap)
-
-
-def test_what_is_written(shown: dict[str, Any]) -> None:
-    folder = shown["folder"]
-    names = {path.name for path in (folder / "geomid_out").iterdir()}
     tables = {"links.csv", "effects.csv", "channels.csv"}
     files = {"estimate.json", "identified.urdf", "effects.yaml", "posterior.npz", "identification.png", "report.html"}
-    assert names == files | tables
-    assert (folder / "geomid_out/identified.urdf").read_text() == shown["found"].urdf()
-    assert "Coulomb friction" in (folder / "report.html").read_text()
+    assert {path.name for path in (tmp_path / "geomid_out").iterdir()} == files | tables
+    assert (tmp_path / "geomid_out/identified.urdf").read_text() == found.urdf()
+    assert "Coulomb friction" in (tmp_path / "report.html").read_text()

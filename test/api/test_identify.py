@@ -12,13 +12,12 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
-from commands.running import WRIST, done, found_only, identify, undrawn
+from commands.running import WRIST, done, identify, undrawn
 from files.recordings import BAGS
 
 import geomid_ros
 from geomid_ros.exports.handover import FileTest
 from geomid_ros.files.models.posterior import read_remainder
-from geomid_ros.session.configuration import Configuration
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
@@ -28,13 +27,6 @@ def document(*arguments: Any, **options: Any) -> dict[str, Any]:
     """What is found, as JSON has it, without how long it took."""
     found = json.loads(json.dumps(geomid_ros.identify(*arguments, **options).document))
     return {key: value for key, value in found.items() if key != "seconds"}
-
-
-@pytest.fixture(scope="module")
-def plain() -> dict[str, Any]:
-    with pytest.MonkeyPatch.context() as patch:
-        found_only(patch)
-        return document(BAG, URDF, candidates=[])
 
 
 def test_it_says_the_same_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,35 +46,23 @@ def test_it_says_the_same_as_the_command(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.usefixtures("found_only")
-@pytest.mark.parametrize("urdf", [str(URDF), URDF.read_text()], ids=["a path as text", "the text of the URDF"])
-def test_descriptions(urdf: str, plain: dict[str, Any]) -> None:
-    assert document(str(BAG), urdf, candidates=[]) == plain
+def test_descriptions_as_a_path_in_a_text_and_as_a_text() -> None:
+    assert document(str(BAG), str(URDF), effects=[]) == document(BAG, URDF.read_text(), effects=[])
 
 
-@pytest.fixture
-def configurations(tmp_path: Path) -> dict[str, Any]:
-    """One and the same configuration, in every way to give it."""
-    values = {"effects": ["effort_offset"], "candidates": [], "filter.cutoff": 4.0}
-    (tmp_path / "node.yaml").write_text(json.dumps({"/**": {"ros__parameters": values}}))
-    path = tmp_path / "node.yaml"
-    return {"path": path, "text": str(path), "names": values, "object": Configuration(values)}
-
-
-@pytest.mark.usefixtures("found_only")
-def test_configurations(configurations: dict[str, Any], plain: dict[str, Any]) -> None:
-    first, *others = (document(BAG, URDF, config=config) for config in configurations.values())
-    assert all(other == first for other in others)
-    assert first["effects"] != plain["effects"]
-    wins = document(BAG, URDF, config=configurations["names"], effects=[])
-    assert wins["effects"] == []
-
-
-def test_without_held_out_data_the_fitted_ones_are_judged() -> None:
-    found = geomid_ros.identify(BAG, URDF, candidates=[], hold_out=0.0)
+@pytest.mark.usefixtures("without_pictures")
+def test_without_held_out_data_the_fitted_ones_are_judged_and_saved_though_the_bag_is_gone(tmp_path: Path) -> None:
+    bag = shutil.copytree(BAG, tmp_path / "bag")
+    found = geomid_ros.identify(bag, URDF, candidates=[], hold_out=0.0)
     assert list(found.held_out) == []
     assert found.document["rms"]["held_out"] is None
     assert list(found.rms.values()) == found.estimate.rms.tolist()
     assert list(found.rms_nominal.values()) == found.estimate.rms_nominal.tolist()
+    shutil.rmtree(bag)
+    files = {file.name for file in found.save(tmp_path / "out")}
+    assert {"estimate.json", "posterior.npz", "report.html"} <= files
+    assert any("posterior.npz" in note and "bag" in note for note in found.session.notes)
+    assert read_remainder(tmp_path / "out" / "posterior.npz") is None
 
 
 @pytest.mark.parametrize("hold_out", [0.3, 0.0])
@@ -112,8 +92,10 @@ def test_what_is_loaded_again_predicts_with_the_gains_that_were_found(tmp_path: 
         assert rms["urdf"] == pytest.approx(found.rms_nominal[channel], rel=1e-9)
 
 
-def test_shapes_are_found_from_any_folder_or_missed_in_words(tmp_path: Path) -> None:
+def test_shapes_are_found_from_any_folder_or_missed_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what the plain URDF lacks is said beside what MuJoCo's file lacks."""
     pytest.importorskip("mujoco")
+    monkeypatch.setattr(FileTest, "limited", property(lambda _: ["too plain"]))
     mesh = "<visual><geometry><mesh filename='{}'/></geometry></visual></link>"
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "a&b.obj").write_text(TETRAHEDRON)
@@ -121,6 +103,7 @@ def test_shapes_are_found_from_any_folder_or_missed_in_words(tmp_path: Path) -> 
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(URDF.read_text().replace("</link>", shapes, 1))
     found = geomid_ros.identify(BAG, urdf, reader="mujoco", candidates=[])
+    assert found.verdict.warnings.count("too plain") == 2
     found.save(tmp_path / "elsewhere" / "out", report=False)
     (said,) = [note for note in found.document["notes"] if " missing, " in note]
     missing = "identified.xml: 1 shape missing, the first of link 'base_link': the mesh 'package://none/gone.stl'"
@@ -133,42 +116,14 @@ def test_shapes_are_found_from_any_folder_or_missed_in_words(tmp_path: Path) -> 
     assert names == [file, "package://none/gone.stl"]
 
 
-@pytest.mark.parametrize(("reader", "times"), [("gazebo", 1), ("mujoco", 2)])
-def test_the_plain_urdf_is_warned_of_if_it_holds_less_than_the_file(
-    reader: str, times: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Neither Gazebo's file nor a plain URDF has the rotors' inertias."""
-    monkeypatch.setattr(FileTest, "limited", property(lambda _: ["too plain"]))
-    found = geomid_ros.identify(BAG, URDF, reader=reader, candidates=[])
-    assert found.verdict.warnings.count("too plain") == times
-
-
-@pytest.mark.usefixtures("without_pictures")
-def test_an_estimate_is_kept_whose_bag_is_gone_before_it_is_saved(tmp_path: Path) -> None:
-    bag = shutil.copytree(BAG, tmp_path / "bag")
-    found = geomid_ros.identify(bag, URDF, candidates=[], hold_out=0.0)
-    shutil.rmtree(bag)
-    files = {file.name for file in found.save(tmp_path / "out")}
-    assert {"estimate.json", "posterior.npz", "report.html"} <= files
-    assert any("posterior.npz" in note and "bag" in note for note in found.session.notes)
-    assert read_remainder(tmp_path / "out" / "posterior.npz") is None
-
-
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "no bag": (lambda: geomid_ros.identify([], URDF), "no bag is given"),
     "a share": (
         lambda: geomid_ros.identify(BAG, URDF, hold_out=1.5),
         r"hold_out is 1.5, expected 0 <= hold_out <= 0.9",
     ),
-    "an effect": (lambda: geomid_ros.identify(BAG, URDF, effects="friction"), "options: effects: unknown effect"),
-    "a parameter": (lambda: geomid_ros.identify(BAG, URDF, config={"filter.cutof": 3.0}), "config: unknown parameter"),
     "a description": (lambda: geomid_ros.identify(BAG, "<sdf/>"), "robot description: not a URDF"),
     "no xacro": (lambda: geomid_ros.find_gap(BAG, URDF, xacro_args="a:=1"), "arguments for xacro are given"),
-    "no simulation": (
-        lambda: geomid_ros.find_gap(BAG, URDF, simulated=[BAG, BAG]),
-        "2 recordings of a simulator for 1 bags",
-    ),
-    "too short": (lambda: geomid_ros.find_gap(BAG, URDF, hold_out=0.85), r"arm3: too short: \d+ independent instants"),
 }
 
 

@@ -26,17 +26,7 @@ FRICTION = {"effect": "stribeck_friction", "joint": "joint2", "link": "", "param
 ESTIMATE: dict[str, Any] = {
     "links": [LINK],
     "urdf_masses": {EVIL: 1.5},
-    "effects": [
-        {
-            "name": "viscous_friction",
-            "joint": "joint1",
-            "value": 3.0,
-            "std": 0.2,
-            "unit": "N m s/rad",
-            "from_data": 0.9,
-        },
-        {"name": "coulomb_friction", "joint": "joint1", "value": 2.0, "std": 0.3, "unit": "N m", "smoothing": 0.01},
-    ],
+    "effects": [],
     "added": [FRICTION],
     "channels": [{"channel": "joint1", "unit": "N m", "judged_on": "held-out data", "urdf": 2.0, "identified": 1.0}],
 }

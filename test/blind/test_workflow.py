@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,29 +17,15 @@ from geomid_ros.simulation.recording import simulate
 
 pytestmark = pytest.mark.usefixtures("found_only")
 
-PERIOD = 5.0
 ARM3 = SimulationOptions(
-    robot="arm3", duration=12.0, inertia_error=0.15, motion_period=PERIOD, motion_harmonics=7, longest_step=QUICK
+    robot="arm3", duration=12.0, inertia_error=0.15, motion_period=5.0, motion_harmonics=7, longest_step=QUICK
 )
-
-
-@dataclass(frozen=True)
-class Hiding:
-    """What is hidden in which robot."""
-
-    options: SimulationOptions
-    hide: tuple[Hidden, ...] = ()
-
-
 SEVERAL = (Hidden("spring", "joint3"), Hidden("viscous_friction", "joint1"), Hidden("effort_delay", "", 0.006))
-WRIST = ("--wrench", f"/wrench:{WRIST_FRAME}:mounted")
-PAYLOAD = Hiding(replace(ARM3, seed=14, wrench_frame=WRIST_FRAME), (Hidden("payload", "tool", 1.5),))
 
 
-def recorded(hiding: Hiding, folder: Path, *more: str) -> Path:
+def recorded(options: SimulationOptions, folder: Path, *more: str) -> Path:
     """A robot's description, and recordings of it: ``one`` and ``more`` to find in, an ``other`` to judge on."""
     pytest.importorskip("mujoco")
-    options = replace(hiding.options, hide=hiding.hide)
     for index, name in enumerate(("one", "other", *more)):
         simulate(folder / name, replace(options, motion_seed=100 + index))
     (folder / "robot.urdf").write_text(robot_description(options.robot))
@@ -54,23 +40,8 @@ def found(folder: Path, out: Path, *more: str | Path) -> tuple[dict[str, Any], l
 
 
 def test_several_at_once_are_named(tmp_path: Path) -> None:
-    check_named(*found(recorded(Hiding(replace(ARM3, seed=13), SEVERAL), tmp_path), tmp_path / "out"))
-
-
-def test_beside_unsure_inertias_a_payload_is_told_as_one_or_as_a_heavier_link(tmp_path: Path) -> None:
-    """Which of the two it is only its size says: no link is so wrong. What is sure is true."""
-    loaded = recorded(PAYLOAD, tmp_path, "two")
-    document, truth = found(loaded, tmp_path / "out", loaded / "two", *WRIST)
-    sure = [entry for entry in document["findings"] if entry["confidence"] == "confident"]
-    heavier = [link["mass"] for link in document["links"] if link["link"] == WRIST_FRAME]
-    masses = [*heavier, *(entry["parameters"]["mass"] for entry in sure)]
-    assert {(entry["effect"], entry["link"]) for entry in sure} <= {("payload", WRIST_FRAME)}
-    (mass,) = masses
-    assert abs(mass["value"] - truth[0]["parameters"]["mass"]) < 3.0 * mass["std"]
-
-
-def check_named(document: dict[str, Any], truth: list[dict[str, Any]]) -> None:
     """Exactly what is true is named confidently, with its size."""
+    document, truth = found(recorded(replace(ARM3, seed=13, hide=SEVERAL), tmp_path), tmp_path / "out")
     confident = [entry for entry in document["findings"] if entry["confidence"] == "confident"]
     assert {(entry["effect"], entry["joint"]) for entry in confident} == {
         (entry["effect"], entry["joint"]) for entry in truth
@@ -81,6 +52,14 @@ def check_named(document: dict[str, Any], truth: list[dict[str, Any]]) -> None:
         assert named["parameters"][main]["value"] == pytest.approx(entry["parameters"][main], rel=0.1)
 
 
-def test_coloured_noise_is_no_effect(tmp_path: Path) -> None:
-    document, _ = found(recorded(Hiding(replace(ARM3, seed=15, noise_time=0.05)), tmp_path), tmp_path / "out")
-    assert document["findings"] == []
+def test_beside_unsure_inertias_a_payload_is_told_as_one_or_as_a_heavier_link(tmp_path: Path) -> None:
+    """Which of the two it is only its size says: no link is so wrong. What is sure is true."""
+    options = replace(ARM3, seed=14, wrench_frame=WRIST_FRAME, hide=(Hidden("payload", "tool", 1.5),))
+    loaded, wrist = recorded(options, tmp_path, "two"), ("--wrench", f"/wrench:{WRIST_FRAME}:mounted")
+    document, truth = found(loaded, tmp_path / "out", loaded / "two", *wrist)
+    sure = [entry for entry in document["findings"] if entry["confidence"] == "confident"]
+    heavier = [link["mass"] for link in document["links"] if link["link"] == WRIST_FRAME]
+    masses = [*heavier, *(entry["parameters"]["mass"] for entry in sure)]
+    assert {(entry["effect"], entry["link"]) for entry in sure} <= {("payload", WRIST_FRAME)}
+    (mass,) = masses
+    assert abs(mass["value"] - truth[0]["parameters"]["mass"]) < 3.0 * mass["std"]

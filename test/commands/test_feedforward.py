@@ -65,6 +65,3 @@ def test_what_is_no_trajectory_of_this_robot_is_refused(model: Path, tmp_path: P
     fast = sent(tmp_path, lively(JOINTS, 0.05, 0.4))
     assert "more than its limit of" in refused("feedforward", fast, "--model", model)
     assert "no robot is given" in refused("feedforward", sent(tmp_path))
-    assert "none.yaml: the trajectory cannot be read" in refused(
-        "feedforward", tmp_path / "none.yaml", "--model", model
-    )

@@ -114,25 +114,19 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_done_is_not_done_again_and_what_is_new_needs_workers(
     first: tuple[Path, str], bags: Path, options: Options
 ) -> None:
-    """Nobody listens at the scheduler's address: all that there is to do must have been done."""
+    """Nobody listens at the scheduler's address: all that there is to do must have been done. Another configuration is
+    new, as another bag is."""
     out, _ = first
     before = read(out / "bob")
-    done("fleet", bags, *options, "--scheduler", NOBODY, "--out", out)
-    assert read(out / "bob") == before
+    arguments = ("fleet", bags, *options, "--scheduler", NOBODY, "--out", out)
+    assert "no Dask scheduler answers" in refused(*arguments, "--cutoff", "4")
     new = piece(bags / "bob" / "new", 2.0)
     try:
-        message = refused("fleet", bags, *options, "--scheduler", NOBODY, "--out", out)
-        assert message.startswith(f"no Dask scheduler answers at {NOBODY}")
+        assert refused(*arguments).startswith(f"no Dask scheduler answers at {NOBODY}")
     finally:
         shutil.rmtree(new)
+    done(*arguments)
     assert read(out / "bob") == before
-    done("fleet", bags, *options, "--scheduler", NOBODY, "--out", out)
-
-
-@pytest.mark.usefixtures("impatient")
-def test_another_configuration_is_done_anew(first: tuple[Path, str], bags: Path, options: Options) -> None:
-    arguments = ("fleet", bags, *options, "--cutoff", "4", "--scheduler", NOBODY, "--out", first[0])
-    assert "no Dask scheduler answers" in refused(*arguments)
 
 
 def test_what_has_changed_is_told(first: tuple[Path, str], bags: Path, options: Options, tmp_path: Path) -> None:
@@ -151,11 +145,6 @@ def test_what_has_changed_is_told(first: tuple[Path, str], bags: Path, options: 
     (line,) = [line for line in printed.splitlines() if line.strip().startswith("bob ")]
     assert "→" not in line
     assert "changed" not in line
-
-
-def test_an_earlier_run_that_is_not_there_is_refused(bags: Path, tmp_path: Path) -> None:
-    arguments = ("fleet", bags, "--urdf", URDF, "--out", tmp_path, "--since", tmp_path / "nowhere")
-    assert "nowhere is not a folder; give the folder of an earlier run" in refused(*arguments)
 
 
 def test_bags_and_what_is_kept_in_object_stores(
@@ -210,11 +199,13 @@ def test_what_is_kept_and_damaged_is_told_or_made_anew(
     assert without_time(read(tmp_path / "bob")) == without_time(before)
 
 
-def test_forgetting_is_refused(bags: Path, tmp_path: Path) -> None:
+def test_options_that_cannot_be_are_refused(bags: Path, tmp_path: Path) -> None:
+    arguments = ("fleet", bags, "--urdf", URDF, "--out", tmp_path)
+    message = refused(*arguments, "--since", tmp_path / "nowhere")
+    assert "nowhere is not a folder; give the folder of an earlier run" in message
     config = tmp_path / "config.yaml"
     config.write_text("/**:\n  ros__parameters:\n    forgetting_time: 10.0\n")
-    message = refused("fleet", bags, "--urdf", URDF, "--config", config, "--out", tmp_path)
-    assert message.startswith("forgetting_time is given")
+    assert refused(*arguments, "--config", config).startswith("forgetting_time is given")
 
 
 def test_workers_of_another_version_are_refused(scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:

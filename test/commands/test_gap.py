@@ -28,16 +28,11 @@ FILES = {"gap.json", "findings.csv", "report.html", *MODEL}
 Arguments = Sequence[str | Path]
 
 
-def robot(bag: Path, hide: Hidden | None, **options: Any) -> Path:
+def robot(bag: Path, *hide: Hidden, **options: Any) -> Path:
     """A recording of the small arm in which ``hide`` is hidden."""
     pytest.importorskip("mujoco")
-    hidden = (hide,) if hide else ()
-    simulate(
-        bag,
-        SimulationOptions(
-            robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=hidden, commands=True, **options
-        ),
-    )
+    usual: dict[str, Any] = {"robot": "arm3", "seed": 5, "duration": 12.0, "longest_step": QUICK, "commands": True}
+    simulate(bag, SimulationOptions(**usual, hide=hide, **options))
     return bag
 
 
@@ -63,36 +58,25 @@ def read(out: Path) -> dict[str, Any]:
     return document
 
 
-def test_it_writes_what_it_says(found: tuple[Path, str]) -> None:
-    out, text = found
-    assert {path.name for path in out.iterdir()} == FILES
-    assert all(name in text.partition(f"Written to {out}: ")[2] for name in FILES)
-
-
-def test_what_was_hidden_is_found(found: tuple[Path, str]) -> None:
-    out, _ = found
-    finding = read(out)["findings"][0]
+def test_what_was_hidden_is_found_and_the_gap_shrinks_on_data_that_were_not_fitted(found: tuple[Path, str]) -> None:
+    """Also where the written model is simulated again."""
+    document = read(found[0])
+    finding = document["findings"][0]
     assert finding["joint"] == "joint2"
     assert finding["parameters"]["level"]["value"] == pytest.approx(LEVEL, rel=0.05)
     assert finding["parameters"]["level"]["unit"] == "N m"
-
-
-def test_the_gap_shrinks_on_data_that_were_not_fitted(found: tuple[Path, str]) -> None:
-    document = read(found[0])
     before, after = document["gap"]["before"], document["gap"]["after"]
     assert set(before) == set(after) == {"joint1", "joint2", "joint3"}
     assert after["joint2"] < 0.1 * before["joint2"]
-
-
-def test_the_written_model_is_simulated_again(found: tuple[Path, str]) -> None:
     for how in ("resimulated", "closed_loop"):
-        errors = read(found[0])[how]
-        assert errors["after"]["joint2"] < 0.3 * errors["before"]["joint2"], how
+        assert document[how]["after"]["joint2"] < 0.3 * document[how]["before"]["joint2"], how
     assert "Resimulation in closed" in found[1]
 
 
 def test_the_terminal_and_the_page_say_the_same(found: tuple[Path, str]) -> None:
     out, text = found
+    assert {path.name for path in out.iterdir()} == FILES
+    assert all(name in text.partition(f"Written to {out}: ")[2] for name in FILES)
     page = (out / "report.html").read_text()
     said = " ".join(text.partition("Findings")[0].split()[1:])
     sentence, sure, what = said.partition(" Sure: ")
@@ -130,8 +114,8 @@ def test_the_model_of_a_doubtful_recording_is_marked_so(tmp_path: Path) -> None:
     assert result.stdout.lstrip().startswith("DOUBTFUL: ")
 
 
-def test_nothing_hidden_is_nothing_found(tmp_path: Path) -> None:
-    bag = robot(tmp_path / "bag", None, inertia_error=0.0)
+def test_where_nothing_is_hidden_coloured_noise_is_no_effect(tmp_path: Path) -> None:
+    bag = robot(tmp_path / "bag", inertia_error=0.0, noise_time=0.05)
     text = done("gap", bag, "--urdf", URDF, "--out", tmp_path / "out")
     assert text.startswith("NO GAP  No gap found")
     assert "Findings" not in text
@@ -176,11 +160,7 @@ def without_efforts(folder: Path) -> Arguments:
 @pytest.mark.usefixtures("found_only")
 def test_what_the_users_simulator_knows_is_no_gap(folder: Path, rubbing: Path) -> None:
     """The robot has the friction and a spring; its simulator moves the same way, with the friction alone."""
-    both = (Hidden("coulomb_friction", "joint2", LEVEL), Hidden("spring", "joint3", 0.5))
-    measured = folder / "both"
-    simulate(
-        measured, SimulationOptions(robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=both, commands=True)
-    )
+    measured = robot(folder / "both", Hidden("coulomb_friction", "joint2", LEVEL), Hidden("spring", "joint3", 0.5))
     out = folder / "with a simulator"
     done("gap", measured, "--urdf", URDF, "--simulated", rubbing, "--out", out)
     named = {(finding["effect"], finding["joint"]) for finding in read(out)["findings"]}

@@ -33,9 +33,6 @@ def command(name: str) -> click.Command:
 
 def test_the_commands() -> None:
     text = done("--help")
-    names = "compare dashboard demo excite export feedforward fleet gap identify payload play prior report sample"
-    names += " simulate verify"
-    assert names.split() == NAMES
     assert "..." not in text.partition("Commands:")[2], "a command's first sentence is too long for the list"
     assert all(f"  {name} " in text for name in NAMES)
 
@@ -67,21 +64,17 @@ def loaded(*lines: tuple[str, ...], completing: str = "") -> set[str]:
 
 
 def test_what_computes_nothing_loads_nothing_that_computes() -> None:
-    """Neither the list of commands, which loads none of them, nor a mistake, nor a command's help."""
+    """Neither the list of commands, which loads none of them, nor a mistake, nor completion; a command's help loads no
+    library that the command needs."""
     listed = loaded(("--help",), ("--version",), (), ("unknown",), ("--unknown",))
     assert not listed & HEAVY
     assert not {f"geomid_ros.commands.{name}" for name in NAMES} & listed
     assert not loaded(("identify", "--help"), ("identify",)) & HEAVY
 
-
-@pytest.mark.parametrize("line", ["geomid ", "geomid identify --u"])
-def test_completion_loads_nothing_that_computes(line: str) -> None:
-    modules = loaded(completing=line)
-    assert not modules & HEAVY
-    assert ("geomid_ros.commands.recordings" in modules) is ("--u" in line)
-
-
-def test_help_of_a_command_loads_no_library_that_the_command_needs() -> None:
+    assert not loaded(completing="geomid ") & {*HEAVY, "geomid_ros.commands.recordings"}
+    completed = loaded(completing="geomid identify --u")
+    assert "geomid_ros.commands.recordings" in completed
+    assert not completed & HEAVY
     assert not loaded(*((*name.split(), "--help") for name in (*NAMES, *SECOND))) & LIBRARIES
 
 

@@ -43,18 +43,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return out, done(*identify(ROBOT, *WRIST, "--out", out))
 
 
-def test_it_writes_what_it_says(run: tuple[Path, str]) -> None:
-    out, output = run
-    assert {path.name for path in out.iterdir()} == FILES
-    assert all(name in output.partition(f"Written to {out}: ")[2] for name in FILES)
-
-
-def test_a_remark_on_a_topic_is_printed_once(tmp_path: Path) -> None:
-    options = ("--lock", "joint3", *NO_CHOICE, "--no-report", "--out", tmp_path)
-    output = geomid("identify", BAGS / "arm3", "--urdf", BAGS / "arm3.urdf", *options).stdout
-    assert " ".join(output.split()).count("is locked at zero, but moves") == 1
-
-
 def test_without_a_report_nothing_is_drawn(tmp_path: Path) -> None:
     script = (
         "import sys\n"
@@ -69,26 +57,24 @@ def test_without_a_report_nothing_is_drawn(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == FILES - DRAWN
 
 
-def test_the_tool_is_found(run: tuple[Path, str]) -> None:
-    out, _ = run
+def test_the_tool_is_found_and_held_out_data_are_predicted_better(run: tuple[Path, str]) -> None:
+    """On data that were not used: the table's column of what remains."""
+    out, output = run
     truth = {entry["name"]: entry for entry in json.loads((BAGS / f"{ROBOT}.truth.json").read_text())["links"]}
     tool = link(read(out), "wrist_ft")
     assert tool["mass"] == pytest.approx(truth["tool"]["mass"], rel=TOOL_MASS)
     assert tool["merged"] == ["tool"]
     assert abs(tool["mass"] - truth["tool"]["mass"]) < 5.0 * tool["std"]["mass"]
-
-
-def test_held_out_data_are_predicted_better(run: tuple[Path, str]) -> None:
-    """On data that were not used: the table's column of what remains."""
-    _, output = run
     lines = map(str.rstrip, output.partition("residual on held-out data")[2].splitlines())
     rows = [line.split() for line in lines if " % " in line]
     assert len(rows) == 13
     assert all(float(row[row.index("%") - 1]) <= 100.0 * (1.0 - EXPLAINED) for row in rows), output
 
 
-def test_the_estimate_is_whole(run: tuple[Path, str]) -> None:
+def test_the_estimate_is_whole_and_written_as_is_said(run: tuple[Path, str]) -> None:
     out, text = run
+    assert {path.name for path in out.iterdir()} == FILES
+    assert all(name in text.partition(f"Written to {out}: ")[2] for name in FILES)
     document = read(out)
     account = document["messages"]["joint_states"]
     count = account["received"]
@@ -106,19 +92,14 @@ def test_the_estimate_is_whole(run: tuple[Path, str]) -> None:
     assert of_joints <= found
     assert {name for name, _ in found - of_joints} <= set(DEFAULT_CANDIDATES)
     others = {(entry["effect"], entry["joint"]) for entry in document["added"]}
-    assert ("wrench_offset", "/wrench") in others
-    assert {("drive_gain", joint) for joint in joints} <= others
+    assert {("wrench_offset", "/wrench"), *(("drive_gain", joint) for joint in joints)} <= others
     assert {name for name, _ in others} <= {"wrench_offset", "drive_gain", *DEFAULT_CANDIDATES}
     for entry in document["links"]:
         assert 0.0 <= entry["from_data"] <= 1.0
         assert entry["min_eigenvalue_ratio"] > 0.0
         assert np.linalg.eigvalsh(entry["inertia"])[0] > 0.0
-
-
-def test_the_urdf_holds_what_was_fitted_for_it(run: tuple[Path, str]) -> None:
-    out, _ = run
     bodies = {body.name: body for body in Robot(read_urdf(out / "identified.urdf"), cuts=["wrist_ft"]).bodies}
-    for entry in read(out)["handover"]["urdf"]["links"]:
+    for entry in document["handover"]["urdf"]["links"]:
         body = bodies[entry["name"]]
         assert body.merged == ()
         assert body.parameters[0] == pytest.approx(entry["mass"], rel=WRITTEN)
@@ -150,15 +131,10 @@ def small(tmp_path: Path, *arguments: str | Path, status: int = 0) -> dict[str, 
     return document
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The small arm's estimate from the whole bag."""
-    return small(tmp_path_factory.mktemp("whole"), *NO_CHOICE, "--hold-out", "0")
-
-
-def test_other_bags_to_validate_on(whole: dict[str, Any], second: Path, tmp_path: Path) -> None:
+def test_other_bags_to_validate_on(second: Path, tmp_path: Path) -> None:
     """All of the bag is identified from, and all of the other is tested on."""
-    validated = small(tmp_path, *NO_CHOICE, "--validate", second)
+    whole = small(tmp_path / "whole", *NO_CHOICE, "--hold-out", "0")
+    validated = small(tmp_path / "validated", *NO_CHOICE, "--validate", second)
     assert validated["links"] == whole["links"]
     held_out, nominal = validated["rms"]["held_out"], validated["rms"]["nominal"]
     assert held_out.keys() == nominal.keys()
@@ -184,6 +160,7 @@ def test_a_urdf_that_can_be_no_robot_s_is_refused_before_anything_is_solved(tmp_
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("in_a_step")
 def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(
         """/**:
@@ -192,24 +169,34 @@ def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
     effects: [viscous_friction, coulomb_friction, effort_offset]
     candidates: []
     gamma: 1e-3
+    known: ["total=9:0.5", "link2+link3=4:1"]
     wrenches: [wrist]
     wrench: {wrist: {topic: /wrench, frame: wrist_ft}}
     sigma: {wrench.fx: 0.1}
 """
     )
-    from_file = small(tmp_path / "a", "--config", tmp_path / "robot.yaml")
+    from_file = small(tmp_path / "a", "--config", tmp_path / "robot.yaml", status=3)
     assert from_file["gamma"] == 1e-3
     assert from_file["sigma"]["wrench/fx"] == 0.1
     assert len(from_file["effects"]) == 9
-    options_win = small(tmp_path / "b", "--config", tmp_path / "robot.yaml", "--effects", "none", *WRIST, status=4)
+    weighed = {entry["name"]: entry["weighed"] for entry in from_file["known"]}
+    assert weighed == {"total": 9.0, "link2 + link3": 4.0}
+    assert from_file["verdict"]["reasons"][0] == f"the solver did not converge: {from_file['reason']}"
+    options_win = small(tmp_path / "b", "--config", tmp_path / "robot.yaml", "--effects", "none", *WRIST, status=3)
     assert options_win["effects"] == []
     assert options_win["sigma"].keys() == from_file["sigma"].keys()
+
+
+def tables(text: str) -> tuple[str, str]:
+    """What is printed of effects of the joints, and of other effects."""
+    table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
+    return table, others
 
 
 def test_the_shape_of_dry_friction_stands_beside_its_level(run: tuple[Path, str]) -> None:
     """Where it is not the usual one; it is no other effect for that."""
     out, text = run
-    table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
+    table, others = tables(text)
     shapes = [entry["smoothing"] for entry in read(out)["effects"] if "smoothing" in entry]
     assert shapes
     assert "smoothing" in table
@@ -217,13 +204,20 @@ def test_the_shape_of_dry_friction_stands_beside_its_level(run: tuple[Path, str]
     assert "Coulomb friction" not in others
 
 
-def test_an_effect_of_two_numbers_stands_once(tmp_path: Path) -> None:
-    """All joints have Stribeck friction, and it is among the others, with its speed."""
-    options = ("--effects", "viscous_friction,coulomb_friction,rotor_inertia,effort_offset,stribeck_friction")
-    text = done(*identify("arm3", *options, *NO_CHOICE, "--no-report", "--out", tmp_path))
-    table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
+def test_weighed_masses_and_an_effect_of_two_numbers_are_told(tmp_path: Path) -> None:
+    """All joints have Stribeck friction, and it is among the others, once, with its speed."""
+    weighed = ("--known", "total=9:0.5", "--known", "link2+link3=4:1")
+    effects = "viscous_friction,coulomb_friction,rotor_inertia,effort_offset,stribeck_friction"
+    text = done(*identify("arm3", *WRIST, *NO_CHOICE, *weighed, "--effects", effects, "--out", tmp_path))
+    table, others = tables(text)
     assert "stribeck" not in table
     assert others.count("Stribeck friction") == 3
+    assert "weighed [kg]" in text
+    known = {entry["name"]: entry for entry in read(tmp_path)["known"]}
+    assert list(known) == ["total", "link2 + link3"]
+    masses = {entry["name"]: entry["mass"] for entry in read(tmp_path)["links"]}
+    assert known["link2 + link3"]["mass"] == pytest.approx(masses["link2"] + masses["link3"], rel=1e-12)
+    assert f"9.000 ± 0.500 {known['total']['mass']:.3f} ± {known['total']['std']:.3f}" in " ".join(text.split())
 
 
 @pytest.mark.parametrize("width", [80, 60, 40])
@@ -244,12 +238,9 @@ def test_a_narrow_table_keeps_names_and_numbers_whole(width: int) -> None:
         assert all(f" {12.5 + number:.3g} ± 1e+01 " in text for number in numbers)
         assert "   everything" in text
         assert text.count("at_rest") == text.count(f" {name}   ") > 1
-
-
-def test_a_title_is_no_narrower_than_the_console() -> None:
     title, output = "Resimulation in short windows (error in units of the noise)", StringIO()
     Console(width=60, file=output).print(plain_table(title, ["channel"], ["before", "after"]))
-    assert output.getvalue().startswith(f"{title}\n")
+    assert output.getvalue().startswith(f"{title}\n"), "as wide as the console at least"
 
 
 def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
@@ -262,24 +253,17 @@ def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
     text = done(*identify("arm3", *options, "--out", tmp_path / "b"))
     found = {(entry["name"], entry["joint"]) for entry in read(tmp_path / "b")["effects"]}
     assert found == {("viscous_friction", "joint2"), *(("coulomb_friction", f"joint{k}") for k in (1, 2, 3))}
-    table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
+    table, others = tables(text)
     cells = {line.split()[0]: line.count("±") for line in map(str.strip, table.splitlines()) if "±" in line}
     assert cells == {"joint1": 2, "joint2": 2, "joint3": 2}, "with the gains of the drives"
     assert "Viscous friction" in others
     assert "at joint2" in others
 
 
-def values(document: dict[str, Any]) -> dict[tuple[str, str, str], float]:
-    """The effects' parameters by effect, place and name."""
-    found = {(entry["name"], entry["joint"], ""): float(entry["value"]) for entry in document["effects"]}
-    for entry in document["added"]:
-        for name, quantity in entry["parameters"].items():
-            # The level of Stribeck friction is Coulomb friction.
-            key = (
-                ("coulomb_friction", entry["joint"], "") if name == "level" else (entry["effect"], entry["joint"], name)
-            )
-            found[key] = float(quantity["value"])
-    return found
+def offsets(document: dict[str, Any]) -> dict[str, float]:
+    """Those of the wrench sensor, by axis."""
+    (found,) = (entry for entry in document["added"] if entry["effect"] == "wrench_offset")
+    return {name: float(quantity["value"]) for name, quantity in found["parameters"].items()}
 
 
 def test_an_offset_of_the_sensor_is_found_by_default(wrist: Path, tmp_path: Path) -> None:
@@ -295,8 +279,7 @@ def test_an_offset_of_the_sensor_is_found_by_default(wrist: Path, tmp_path: Path
     before, after = read(wrist), read(tmp_path / "out")
     assert link(after, "wrist_ft")["mass"] == pytest.approx(link(before, "wrist_ft")["mass"], rel=TOOL_MASS)
     for axis, size in planted.items():
-        key = "wrench_offset", "/wrench", axis
-        assert values(after)[key] - values(before)[key] == pytest.approx(size, abs=0.02)
+        assert offsets(after)[axis] - offsets(before)[axis] == pytest.approx(size, abs=0.02)
 
 
 def test_a_reversed_sensor_is_named_and_its_rows_are_left_out(tmp_path: Path) -> None:
@@ -330,19 +313,3 @@ def test_a_fit_that_did_not_converge_says_so_first(tmp_path: Path) -> None:
     result = geomid(*identify("arm3", "--out", tmp_path))
     assert result.exit_code == 3, result.output
     assert result.stdout.lstrip().startswith("NOT CONVERGED: the solver did not converge: ")
-    assert read(tmp_path)["verdict"]["reasons"] == [f"the solver did not converge: {read(tmp_path)['reason']}"]
-
-
-def test_a_weighed_mass_is_told_and_written(tmp_path: Path) -> None:
-    weighed = ("--known", "total=9:0.5", "--known", "link2+link3=4:1")
-    text = done(*identify("arm3", *WRIST, *NO_CHOICE, *weighed, "--out", tmp_path))
-    assert "weighed [kg]" in text
-    known = {entry["name"]: entry for entry in read(tmp_path)["known"]}
-    assert list(known) == ["total", "link2 + link3"]
-    masses = {entry["name"]: entry["mass"] for entry in read(tmp_path)["links"]}
-    assert known["link2 + link3"]["mass"] == pytest.approx(masses["link2"] + masses["link3"], rel=1e-12)
-    assert f"9.000 ± 0.500 {known['total']['mass']:.3f} ± {known['total']['std']:.3f}" in " ".join(text.split())
-    parameters = tmp_path / "known.yaml"
-    parameters.write_text('/**: {ros__parameters: {known: ["total=9:0.5", "link2+link3=4:1"]}}')
-    done(*identify("arm3", *WRIST, *NO_CHOICE, "--no-report", "--config", parameters, "--out", tmp_path / "again"))
-    assert read(tmp_path / "again")["known"] == read(tmp_path)["known"]

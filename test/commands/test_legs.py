@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from defusedxml import ElementTree
 from files.recordings import Recorded, recorded, write_bag
 from model.robots import urdf
 from signals.unitree import low_state, write_unitree_bag

@@ -13,12 +13,15 @@ from xml.sax.saxutils import quoteattr
 import pytest
 from files.recordings import BAGS, Recorded, altered
 
-from .running import NO_CHOICE, WRIST, done, read, refused, undrawn
+from .running import NO_CHOICE, done, read, refused, undrawn
 
 HTML = "<script>alert(1)</script>"
-# Tags, a link, a colour; an emoji, mathematics, HTML.
-MARKUP = ("[/x]:skull:", "[link=file:///etc/passwd]link1[/link]$\\frac{$", f"[red]{HTML}[/red]")
-UNPRINTABLE = ("a\nTotal 0 kg", "a\x9b31mb", "a\u202eb")  # a newline, a C1 control, from right to left
+# Tags, a link, mathematics; a colour, an emoji, HTML; a newline, a C1 control, from right to left.
+NAMES = (
+    "[link=file:///etc/passwd]link1[/link]$\\frac{$",
+    f"[/x][red]:skull:{HTML}[/red]",
+    "a\nTotal 0 kg\x9b31mb\u202ec",
+)
 
 
 def described(names: Sequence[str], folder: Path) -> Path:
@@ -43,43 +46,31 @@ def renamed(names: Sequence[str], folder: Path) -> tuple[Path, Path]:
     return described(names, folder), altered(BAGS / "arm3", folder / "bag", change)
 
 
-@pytest.fixture(scope="module")
-def marked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The folder of a robot with such names, its results in ``out``, and what was printed."""
-    folder = tmp_path_factory.mktemp("marked")
-    urdf, bag = renamed(MARKUP, folder)
-    return folder, done("identify", bag, "--urdf", urdf, *WRIST, "--out", folder / "out")
+def printable(text: str) -> bool:
+    return all(character.isprintable() or character == "\n" for character in text)
 
 
-def test_markup_is_shown_as_it_is(marked: tuple[Path, str], tmp_path: Path) -> None:
-    folder, shown = marked
+def test_names_are_shown_as_they_are_or_as_codes_and_never_obeyed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the terminal, in messages and on the page; that of 'geomid gap' is looked at where it is made."""
+    urdf, bag = renamed(NAMES, tmp_path)
+    arguments = ("identify", bag, "--urdf", urdf, *NO_CHOICE)
+    shown = done(*arguments, "--out", tmp_path / "out")
     assert "\x1b]8" not in shown
-    for name, link in zip(MARKUP, read(folder / "out")["links"], strict=False):
-        assert name in re.sub(r"\s+", "", shown) or name in shown
-        assert link["name"] == name
-        bag, urdf = folder / "bag", folder / "renamed.urdf"
-        message = refused("identify", bag, "--urdf", urdf, "--links", name + "!", "--out", tmp_path)
-        assert name in " ".join(message.split())
-
-
-def test_what_cannot_be_printed_is_shown_as_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    urdf, bag = renamed(UNPRINTABLE, tmp_path)
-    arguments = ("identify", bag, "--urdf", urdf, *NO_CHOICE, "--out", tmp_path / "out")
-    shown = done(*arguments)
-    assert all(character.isprintable() or character == "\n" for character in shown)
+    assert printable(shown)
     assert not re.search("^ *Total 0 kg", shown, re.MULTILINE)
-    undrawn(monkeypatch)  # the same has been drawn
-    assert json.loads(done(*arguments, "--json"))["links"]
-    for name in UNPRINTABLE:
-        message = refused("identify", BAGS / "arm3", "--urdf", described([name], tmp_path), "--out", tmp_path)
-        assert all(character.isprintable() or character == "\n" for character in message)
-
-
-def test_html_is_text_in_a_report(marked: tuple[Path, str]) -> None:
-    """That of 'geomid gap' is looked at where it is made."""
-    page = (marked[0] / "out/report.html").read_text(encoding="utf-8")
+    assert [link["name"] for link in read(tmp_path / "out")["links"][:3]] == list(NAMES)
+    for name in NAMES[:2]:
+        assert name in re.sub(r"\s+", "", shown) or name in shown
+        assert name in " ".join(refused(*arguments, "--links", name + "!", "--out", tmp_path).split())
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert HTML not in page
     assert "&lt;script&gt;alert(1)" in page
+    undrawn(monkeypatch)  # the same has been drawn
+    assert json.loads(done(*arguments, "--json", "--out", tmp_path / "json"))["links"]
+    message = refused("identify", BAGS / "arm3", "--urdf", described(NAMES[2:], tmp_path), "--out", tmp_path)
+    assert printable(message)
 
 
 def test_a_name_costs_no_more_than_its_length(tmp_path: Path) -> None:

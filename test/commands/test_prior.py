@@ -105,14 +105,12 @@ def written(text: str, folder: Path) -> Path:
     return path
 
 
-def test_every_link_has_the_density_of_the_whole(tmp_path: Path) -> None:
-    text, _, _ = prior(written(ARM, tmp_path), 10.0, tmp_path)
+def test_links_have_the_density_of_the_whole_but_for_those_that_are_kept(tmp_path: Path) -> None:
+    text, _, warnings = prior(written(ARM, tmp_path), 10.0, tmp_path)
     volumes = {"base": 0.1, "upper": 0.005, "tip": 4e-3 * np.pi / 3}
     for name, volume in volumes.items():
         assert parameters(text)[name][0] == pytest.approx(10.0 * volume / sum(volumes.values()), rel=1e-8)
-
-
-def test_what_is_kept_stays_and_counts(tmp_path: Path) -> None:
+    assert warnings == "Warning: massless links, which is right only between the axes of one joint: fore\n"
     text, shown, _ = prior(written(ARM, tmp_path), 10.0, tmp_path, "--keep", "upper, base")
     assert "upper       kept" in re.sub(" {3,}", "       ", shown)
     assert text.startswith(ARM.partition('<link name="tip">')[0])
@@ -120,15 +118,15 @@ def test_what_is_kept_stays_and_counts(tmp_path: Path) -> None:
     assert "base" not in parameters(text)
 
 
-def test_a_moving_link_without_a_mass_is_spoken_of(tmp_path: Path) -> None:
-    _, _, warnings = prior(written(ARM, tmp_path), 10.0, tmp_path)
-    assert warnings == "Warning: massless links, which is right only between the axes of one joint: fore\n"
-    bare = ARM.replace(
-        '<link name="tip"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>',
-        '<link name="tip"/>',
-    )
-    _, _, warnings = prior(written(bare, tmp_path), 10.0, tmp_path)
-    assert "neither a shape nor a mass: fore, tip" in warnings
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (re.sub('<link name="tip">.*?</link>', '<link name="tip"/>', ARM), "neither a shape nor a mass: fore, tip"),
+        (ARM.replace("0.1 0.1 0.5", "100 100 500"), "a density of 2e-06 kg/m³ is out of range for a machine"),
+    ],
+)
+def test_what_cannot_be_right_is_spoken_of(change: str, said: str, tmp_path: Path) -> None:
+    assert said in prior(written(change, tmp_path), 10.0, tmp_path)[2]
 
 
 @pytest.mark.parametrize(
@@ -137,9 +135,7 @@ def test_a_moving_link_without_a_mass_is_spoken_of(tmp_path: Path) -> None:
         (lambda text: text, "mass beyond its shape"),
         (lambda text: text.replace('<mass value="1"/>', '<mass value="0"/>'), "zero mass"),
         (lambda text: text.replace('<mass value="1"/>', '<mass value="one"/>'), "unreadable"),
-        (lambda text: text.replace('<mass value="1"/>', ""), "unreadable"),
         (lambda text: text.replace('ixx="1"', 'ixx="3"'), "impossible"),
-        (lambda text: text.replace('<mass value="1"/>', '<mass value="-1"/>'), "impossible"),
         (lambda text: INERTIAL.sub("", text), "missing"),
         (lambda text: text.replace('="1" i', '="0.002" i').replace('izz="1"', 'izz="0.0003"'), "far too light"),
     ],
@@ -149,12 +145,6 @@ def test_the_table_says_what_was_wrong(change: Callable[[str], str], verdict: st
     (line,) = (line for line in shown.splitlines() if line.startswith(" upper"))
     assert line.rstrip().endswith(verdict)
     assert pseudo_inertia.is_body(parameters(text)["upper"])
-
-
-def test_units_that_cannot_be_right_are_spoken_of(tmp_path: Path) -> None:
-    millimetres = ARM.replace("0.1 0.1 0.5", "100 100 500")
-    _, _, warnings = prior(written(millimetres, tmp_path), 10.0, tmp_path)
-    assert "a density of 2e-06 kg/m³ is out of range for a machine" in warnings
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,9 @@ def test_a_locked_joint_has_to_stand(moving: bool, status: int, said: str, tmp_p
     (tmp_path / "hand.urdf").write_text(with_gripper())
     bag = changed(tmp_path / "bag", lambda n, values: ([*n, "finger_joint1"], [*values, values[0] if moving else 0.03]))
     arguments = ("identify", bag, "--urdf", tmp_path / "hand.urdf", "--lock", "finger_joint1", "--no-report")
-    assert said in " ".join(done(*arguments, "--out", tmp_path, status=status).split())
+    shown = " ".join(done(*arguments, *NO_CHOICE, "--out", tmp_path, status=status).split())
+    assert said in shown
+    assert shown.count("is locked at zero, but") == 1
 
 
 def test_joints_that_the_robot_lacks_are_noted(tmp_path: Path) -> None:
@@ -137,10 +139,11 @@ def test_options_win_over_the_parameter_file(tmp_path: Path) -> None:
     assert links(tmp_path / "file") == links(tmp_path / "options") != links(tmp_path / "wrong")
 
 
+@pytest.mark.usefixtures("in_a_step")
 def test_a_description_in_a_namespace_is_found(tmp_path: Path) -> None:
     renamed = altered(BAG, tmp_path / "bag", lambda item: replace(item, topic=f"/cell{item.topic}"))
     options = ("--joint-topic", "cell/joint_states", *NO_CHOICE, "--out", tmp_path)
-    shown = " ".join(done("identify", renamed, *options).split())
+    shown = " ".join(geomid("identify", renamed, *options).stdout.split())
     assert f"using the description of /cell/robot_description in {renamed}" in shown
 
 
@@ -176,11 +179,11 @@ def robot_xacro(tmp_path: Path) -> Iterator[Path]:
     return tmp_path / "robot.urdf.xacro"
 
 
+@pytest.mark.usefixtures("in_a_step")
 def test_a_xacro_is_run_with_its_arguments(robot_xacro: Path, tmp_path: Path) -> None:
-    done(
-        "identify", BAG, "--urdf", robot_xacro, "--xacro-arg", "prefix:=left_", *NO_CHOICE, "--out", tmp_path / "xacro"
-    )
-    done("identify", BAG, "--urdf", URDF, *NO_CHOICE, "--out", tmp_path / "plain")
+    options = ("--xacro-arg", "prefix:=left_", *NO_CHOICE, "--no-report")
+    geomid("identify", BAG, "--urdf", robot_xacro, *options, "--out", tmp_path / "xacro")
+    geomid("identify", BAG, "--urdf", URDF, *NO_CHOICE, "--no-report", "--out", tmp_path / "plain")
     made, plain = links(tmp_path / "xacro"), links(tmp_path / "plain")
     assert (made[0].pop("name"), plain[0].pop("name")) == ("left_link1", "link1")
     assert made == plain
@@ -221,23 +224,19 @@ def test_only_a_file_that_is_called_so_is_run(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small arm in motion from the first message on."""
+def moving(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Recorded], geomid_ros.Identification]:
+    """Messages of the small arm in motion from the first one on, and what is identified from them."""
     pytest.importorskip("mujoco")
     bag = tmp_path_factory.mktemp("moving") / "bag"
     simulate(bag, SimulationOptions(robot="arm3", seed=2, duration=9.0, longest_step=QUICK))
     messages = recorded(bag)
-    return write_bag(bag.parent / "cut", [item for item in messages if item.time > messages[0].time + 1_500_000_000])
-
-
-@pytest.fixture(scope="module")
-def once(moving: Path) -> geomid_ros.Identification:
-    return geomid_ros.identify(moving, URDF, candidates=[])
+    messages = [item for item in messages if item.time > messages[0].time + 1_500_000_000]
+    return messages, geomid_ros.identify(write_bag(bag.parent / "cut", messages), URDF, candidates=[])
 
 
 @pytest.mark.parametrize("stamps", ["new", "old"])
 def test_messages_that_repeat_change_nothing(
-    stamps: str, moving: Path, once: geomid_ros.Identification, tmp_path: Path
+    stamps: str, moving: tuple[list[Recorded], geomid_ros.Identification], tmp_path: Path
 ) -> None:
     """A driver that publishes twice as often as it measures: the same samples of what it measures."""
 
@@ -247,7 +246,8 @@ def test_messages_that_repeat_change_nothing(
         stamp = replace(header.stamp, nanosec=header.stamp.nanosec + (shift if stamps == "new" else 0))
         return replace(item.changed(header=replace(header, stamp=stamp)), time=item.time + shift)
 
-    messages = [one for item in recorded(moving) for one in ([item, again(item)] if "joint" in item.topic else [item])]
+    messages, once = moving
+    messages = [one for item in messages for one in ([item, again(item)] if "joint" in item.topic else [item])]
     twice = geomid_ros.identify(write_bag(tmp_path / "twice", messages), URDF, candidates=[])
     for name in ("stamps", "position", "acceleration", "effort"):
         both = (np.concatenate([getattr(samples, name) for samples in found.train]) for found in (once, twice))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -34,25 +33,19 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return file
 
 
-def test_beside_the_sources() -> None:
-    assert shared_file("bags/arm7.urdf").read_text() == (ROOT / "bags/arm7.urdf").read_text()
-    assert shared_file("bags/arm7").is_dir()
-
-
-def test_where_ros_installed_it(installed: Path) -> None:
+def test_a_shipped_file_is_beside_the_sources_or_where_it_was_installed(
+    installed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By ROS, or by pip. What is nowhere is answered with where it was looked for."""
     assert shared_file("bags/arm7.urdf") == installed
-
-
-def test_where_pip_installed_it(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"bags/arm8 is not installed; looked in .*other/share/geomid_ros, .*prefix"):
+        shared_file("bags/arm8")
     monkeypatch.delenv("AMENT_PREFIX_PATH")
     monkeypatch.setattr(sys, "prefix", str(installed.parents[3]))
     assert shared_file("bags/arm7.urdf") == installed
-
-
-def test_what_is_nowhere_is_answered_with_where_it_was_looked_for(installed: Path) -> None:
-    with pytest.raises(InputError, match=r"bags/arm8 is not installed; looked in .*other/share/geomid_ros, .*prefix"):
-        shared_file("bags/arm8")
-    assert installed.exists()
+    monkeypatch.undo()
+    assert shared_file("bags/arm7.urdf") == ROOT / "bags/arm7.urdf"
+    assert shared_file("bags/arm7").is_dir()
 
 
 SCRIPT = """
@@ -79,22 +72,26 @@ def said_without(library: str, module: str, *arguments: str) -> str:
     return line
 
 
-@pytest.mark.parametrize(("library", "package"), [("backports", "backports.zstd"), ("pinocchio", "pin")])
-def test_a_command_names_it(library: str, package: str) -> None:
-    arguments = ("identify", str(BAGS / "arm3"), "--urdf", str(BAGS / "arm3.urdf"))
-    said = said_without(library, "geomid_ros.commands", *arguments)
-    assert said == f"Error: {library} is not installed: pip install {package}"
+IDENTIFY = ("geomid_ros.commands", "identify", str(BAGS / "arm3"), "--urdf", str(BAGS / "arm3.urdf"))
 
 
-def test_the_node_names_it() -> None:
-    said = said_without("rclpy", "geomid_ros.ros.main")
-    assert said.startswith("geomid_node: rclpy is not installed: pip install 'ros-jazzy-rclpy[fastrtps]' ")
-
-
-@pytest.mark.skipif(find_spec("rclpy") is None, reason="ROS is not installed")
-def test_the_dashboard_names_it() -> None:
-    said = said_without("tornado", "geomid_ros.commands", "dashboard")
-    assert said == "Error: tornado is not installed: pip install tornado"
+@pytest.mark.parametrize(
+    ("library", "command", "said"),
+    [
+        ("backports", IDENTIFY, "Error: backports is not installed: pip install backports.zstd"),
+        ("pinocchio", IDENTIFY, "Error: pinocchio is not installed: pip install pin"),
+        ("tornado", ("geomid_ros.commands", "dashboard"), "Error: tornado is not installed: pip install tornado"),
+        (
+            "rclpy",
+            ("geomid_ros.ros.main",),
+            "geomid_node: rclpy is not installed: pip install 'ros-jazzy-rclpy[fastrtps]' ",
+        ),
+    ],
+)
+def test_a_library_that_is_missing_is_named(library: str, command: tuple[str, ...], said: str) -> None:
+    if "dashboard" in command:
+        pytest.importorskip("rclpy")
+    assert said_without(library, *command).startswith(said)
 
 
 NOWHERE = "nowhere"  # no bag, URDF or model: work on it would be refused with its name
@@ -119,14 +116,11 @@ def test_a_folder_that_cannot_be_made_is_told_at_once(line: tuple[str, ...], tmp
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_nothing_is_left_of_the_trial(tmp_path: Path) -> None:
-    found = Output(file_okay=False).convert(str(tmp_path / "new" / "folder"), None, None)
-    assert found == tmp_path / "new" / "folder"
+def test_every_out_is_tried(tmp_path: Path) -> None:
+    """And nothing is left of it. A design and a run of a motion alone try it later: the other of them must not be
+    refused for it."""
+    assert Output(file_okay=False).convert(str(tmp_path / "new/folder"), None, None) == tmp_path / "new/folder"
     assert not any(tmp_path.iterdir())
-
-
-def test_every_out_is_tried() -> None:
-    """Only a design and a run of a motion try it later: the other of them must not be refused for it."""
     context = click.Context(root)
     commands = [root.get_command(context, name) for name in COMMANDS]
     options = [

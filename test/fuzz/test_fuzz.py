@@ -7,17 +7,13 @@ import signal
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from random import Random
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from benchmarks.fuzz import worker
 from benchmarks.fuzz.running import Outcome, run
 from benchmarks.fuzz.table import TARGETS, made
 from benchmarks.fuzz.target import numbers
-from benchmarks.fuzz.targets.messages import MessagesTarget
 
 ROOT = Path(__file__).parents[2]
 INPUTS = {"messages": 20, "effects": 20}
@@ -60,18 +56,6 @@ def test_only_our_own_errors_come_out(name: str, tmp_path: Path) -> None:
     assert counts["refused"] > 0.2 * inputs or name == "messages"
 
 
-@pytest.fixture(scope="module")
-def messages(tmp_path_factory: pytest.TempPathFactory) -> MessagesTarget:
-    return MessagesTarget(tmp_path_factory.mktemp("messages"))
-
-
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
-@given(random=st.randoms(use_true_random=False))
-def test_the_ledger_balances(random: Random, messages: MessagesTarget) -> None:
-    """The same sequences, found by hypothesis, which finds the shortest one that fails."""
-    messages.attempt(random)
-
-
 def test_what_is_broken_is_found(tmp_path: Path) -> None:
     outcome = outcome_of("fuzz.broken:Broken", 12, tmp_path)
     assert [index for index, _ in outcome.failures] == [3, 5, 7]
@@ -81,13 +65,9 @@ def test_what_is_broken_is_found(tmp_path: Path) -> None:
 
 
 def test_a_process_that_dies_is_found_and_the_rest_is_tried(tmp_path: Path) -> None:
+    """An input is always the same: else nothing that was found could be tried again."""
     dying = [index for index in range(6) if numbers("fuzz.broken:Dying", index).random() < 0.5]
     outcome = outcome_of("fuzz.broken:Dying", 6, tmp_path)
     assert [index for index, _ in outcome.failures] == dying
     assert 0 < len(dying) < 6
     assert outcome.counts.total() == 6
-
-
-def test_an_input_is_always_the_same() -> None:
-    """Else nothing that was found could be tried again."""
-    assert numbers("urdf", 7).random() == numbers("urdf", 7).random() != numbers("urdf", 8).random()
