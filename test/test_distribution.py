@@ -90,26 +90,26 @@ def test_two_builds_give_the_same_bytes(built: Path) -> None:
         assert one.read_bytes() == other.read_bytes(), one.name
 
 
-def test_the_sdist_is_the_repository(unpacked: Path) -> None:
+def test_sdist_and_wheel_are_whole(built: Path, unpacked: Path) -> None:
+    """All of the repository, and all of the package with what is compiled."""
     held = {path.relative_to(unpacked) for path in unpacked.rglob("*") if path.is_file()}
     made = {path for path in held if path.parts[0] in ("PKG-INFO", "geomid_ros.egg-info")}
     assert held - made == tree.files() - _LEFT_OUT
     for file in held - made - {Path("setup.cfg")}:  # to which setuptools adds a section
         assert (unpacked / file).read_bytes() == (ROOT / file).read_bytes(), file
-
-
-def test_the_wheel_has_the_whole_package(built: Path) -> None:
     (wheel,) = (built / "built").glob("*.whl")
     with zipfile.ZipFile(wheel) as file:
         held = {Path(name) for name in file.namelist()}
-    built = {path for path in held if path.suffix == ".so"}
-    assert built == {Path("geomid_ros/geometry/_native.abi3.so")}, "needs a C compiler"
-    assert {path for path in held - built if path.parts[0] == "geomid_ros"} == {
+    compiled = {path for path in held if path.suffix == ".so"}
+    assert compiled == {Path("geomid_ros/geometry/_native.abi3.so")}, "needs a C compiler"
+    assert {path for path in held - compiled if path.parts[0] == "geomid_ros"} == {
         path for path in tree.files() if path.parts[0] == "geomid_ros"
     }
 
 
-def test_installed_alone_it_identifies(alone: Path, tmp_path: Path) -> None:
+def test_installed_alone_it_identifies_and_passes_tests_of_the_sdist(
+    alone: Path, unpacked: Path, tmp_path: Path
+) -> None:
     bags = alone / "share/geomid_ros/bags"
     geomid = alone / "bin/geomid"
     assert geomid_ros.__version__ in run(geomid, "--version", cwd=tmp_path)
@@ -119,9 +119,6 @@ def test_installed_alone_it_identifies(alone: Path, tmp_path: Path) -> None:
         *("links.csv", "effects.csv", "channels.csv"),
     }
     assert (alone / "bin/geomid_node").exists()
-
-
-def test_installed_alone_it_passes_tests_of_the_sdist(alone: Path, unpacked: Path) -> None:
     quick = [unpacked / test for test in _QUICK]
     printed = run(alone / "bin/python", "-P", "-m", "pytest", "-q", "-p", "no:cacheprovider", *quick, cwd=unpacked)
     assert re.search(r"^[1-9]\d* passed", printed, re.MULTILINE), printed

@@ -19,7 +19,7 @@ import yaml
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
 ROOT = Path(__file__).parents[1]
-LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+(LAUNCH_FILE,) = (ROOT / "launch").glob("*.launch.py")
 NAMES = {
     "launch": ("LaunchContext", "LaunchDescription"),
     "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction"),
@@ -45,15 +45,15 @@ def stub(kind: str) -> Any:
     return lambda *values, **named: Made(kind, values, named)
 
 
-@pytest.fixture(params=LAUNCH_FILES, ids=lambda path: path.name)
-def actions(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> list[Made]:
+@pytest.fixture
+def actions(monkeypatch: pytest.MonkeyPatch) -> list[Made]:
     """What a launch file consists of."""
     for name, kinds in NAMES.items():
         module = ModuleType(name)
         for kind in kinds:
             setattr(module, kind, stub(kind))
         monkeypatch.setitem(sys.modules, name, module)
-    description = runpy.run_path(str(request.param))["generate_launch_description"]()
+    description = runpy.run_path(str(LAUNCH_FILE))["generate_launch_description"]()
     (made,) = description.values
     return list(made)
 
@@ -110,10 +110,6 @@ class Launched:
         raise AssertionError(part.kind)
 
 
-def test_there_is_a_launch_file() -> None:
-    assert LAUNCH_FILES
-
-
 def test_by_default_the_node_alone_is_started(actions: list[Made]) -> None:
     scripts = distribution("geomid_ros").entry_points.select(group="console_scripts")
     (node,) = Launched(actions).nodes.values()
@@ -123,14 +119,9 @@ def test_by_default_the_node_alone_is_started(actions: list[Made]) -> None:
     assert node["remappings"] == [(topic, topic) for topic in (JOINT_STATES, ODOM, IMU, COMMANDS)]
 
 
-@pytest.mark.parametrize("config", [path.name for path in sorted((ROOT / "config").glob("*.yaml"))])
-def test_parameter_files_exist(config: str, actions: list[Made]) -> None:
-    path = Path(Launched(actions, config=config).nodes["geomid_node"]["parameters"][0])
-    assert path == ROOT / "config" / config
-    assert all("ros__parameters" in node for node in yaml.safe_load(path.read_text()).values())
-
-
-def test_a_parameter_file_of_ones_own_wins(actions: list[Made]) -> None:
+def test_a_parameter_file_of_ones_own_wins_over_a_shipped_one(actions: list[Made]) -> None:
+    shipped = Launched(actions, config="ur.yaml").nodes["geomid_node"]["parameters"]
+    assert shipped == [f"{ROOT}/config/ur.yaml"]
     started = Launched(actions, params_file="mine.yaml", config="ur.yaml", lifecycle="managed").nodes
     assert started["geomid_node"]["parameters"] == ["mine.yaml", {"lifecycle": "managed"}]
 
@@ -157,20 +148,16 @@ def test_a_urdf_is_for_robot_state_publisher(actions: list[Made]) -> None:
     assert publisher["remappings"] == [(JOINT_STATES, "arm/joint_states")]
 
 
-def test_all_follow_the_clock_of_a_simulation(actions: list[Made]) -> None:
-    started = Launched(actions, urdf="robot.urdf", rviz="true", use_sim_time="true").nodes
+def test_all_follow_the_clock_of_a_simulation_and_arguments_are_declared_explained_and_used(
+    actions: list[Made],
+) -> None:
+    """And what is started is in the package file."""
+    launched = Launched(actions, urdf="robot.urdf", rviz="true", use_sim_time="true", lifecycle="none")
+    started = launched.nodes.values()
     assert len(started) == 3
-    assert all({"use_sim_time": "true"} in node["parameters"] for node in started.values())
-
-
-def test_what_it_needs_is_in_the_package_file(actions: list[Made]) -> None:
-    started = Launched(actions, urdf="robot.urdf", rviz="true").nodes.values()
+    assert all({"use_sim_time": "true"} in node["parameters"] for node in started)
     needed = {"launch", "launch_ros", "xacro", *(node["package"] for node in started)} - {"geomid_ros"}
     assert needed <= {entry.text for entry in ElementTree.parse(ROOT / "package.xml").iter("exec_depend")}
-
-
-def test_arguments_are_declared_explained_and_used(actions: list[Made]) -> None:
-    launched = Launched(actions, urdf="robot.urdf", rviz="true", use_sim_time="true", lifecycle="none")
     assert launched.used == launched.declared
     assert launched.declared >= {"config", "params_file", "namespace", "use_sim_time", "rviz", "urdf"}
     explained = [action.named["description"] for action in actions if action.kind == "DeclareLaunchArgument"]

@@ -107,11 +107,6 @@ def latin(path: Path) -> Path:
     return path
 
 
-def existing(folder: Path) -> Arguments:
-    (folder / "bag").mkdir()
-    return "simulate", folder / "bag", "--duration", "3"
-
-
 REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "1 another joint topic": (typed(*ROBOT, "--joint-topic", "/joint_state"), r"--joint-topic names.*/joint_states \("),
     "2 a namespace": (on(under("/robot1")), r"no topic /joint_states.*--joint-topic.*/robot1/joint_states"),
@@ -127,11 +122,13 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "8 efforts of zero": (on(joints(effort=np.zeros_like)), r"zero throughout\).*Let the driver publish efforts"),
     "14 stamps of zero": (on(stamp_of_zero), r"stamp is zero: whoever publishes has to fill in header.stamp$"),
     "15 a second": (seconds("identify", 1.0), r"shorter than the filter's window.*record half a minute"),
-    "18 a folder of two robots": (lambda _: ("identify", BAGS, *OTHER), r"arm3: .*'joint4' is missing.*another robot"),
+    "18 a folder of two robots": (
+        lambda _: ("identify", BAGS, *OTHER),
+        r"arm3: .*'joint4' is missing.*another robot\. The URDF's .*: joint1, ",
+    ),
     "21 no such URDF": (typed("--urdf", "nope.urdf"), r"nope.urdf: the robot description cannot be read"),
     "23 effect": (typed(*ROBOT, "--effects", "coulomb"), r"Did you mean 'coulomb_friction'\?"),
     "24 link": (typed(*ROBOT, "--links", "link77"), r"unknown link 'link77'. Did you mean 'link\d'\?"),
-    "26 role": (typed(*ROBOT, "--wrench", "/wrench:wrist_ft:mount"), r"Did you mean 'mounted'\?"),
     "27 another link": (
         typed(*ROBOT, "--wrench", "/wrench:link3:mounted"),
         r"frame 'wrist_ft' is not the declared 'link3'; --wrench sets the frame.*wrench\.\*\.frame_id",
@@ -153,11 +150,6 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         lambda folder: ("simulate", folder / "bag", "--hide", "coulomb:joint2"),
         r"unknown effect 'coulomb'. Did you mean 'coulomb_friction'\?",
     ),
-    "42 hidden joint": (
-        lambda folder: ("simulate", folder / "bag", "--hide", "coulomb_friction:joint9"),
-        r"unknown joint 'joint9'. Did you mean 'joint\d'\?",
-    ),
-    "43 exists": (existing, r"bag exists already. Choose another name or delete it first"),
     "44 no payload": (lambda _: ("export", URDF, "--for", "ur"), r"Name it with --frame: base_link"),
     "52 robot": (
         lambda folder: ("simulate", folder / "bag", "--robot", "panda"),
@@ -167,15 +159,10 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         lambda _: ("gap", BAG, *ROBOT, "--simulated", BAG),
         r"the same positions as in .*: no simulator made them. Record what yours does",
     ),
-    "gain": (typed(*ROBOT, "--gain", "joint2=fast"), r"'joint2=fast' is not of the form \[JOINT=\]FACTOR"),
     "lock": (typed(*ROBOT, "--lock", "finger"), r"unknown joint to lock 'finger'.*joint1"),
     "unknown option": (typed(*ROBOT, "--ouput", "x"), "--ouput.*--out"),
     "a command": (lambda _: ("identfy", BAG), r"unknown command 'identfy'. Did you mean 'identify'\?"),
     # bags
-    "a bag of another robot": (
-        lambda _: ("identify", BAGS / "arm7", BAG, *OTHER),
-        r"arm3: .*'joint4' is missing.*another robot\. The URDF's moving joints: joint1, ",
-    ),
     "no such bag": (lambda folder: ("identify", BAG, folder / "nowhere", *ROBOT), "nowhere: no such bag"),
     "no odometry": (typed(*ROBOT, "--floating-base", "--wrench", "/wrench:odom:external"), "no topic /odom.*--odom"),
     "a tf_prefix": (
@@ -193,7 +180,6 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "a pipe": (with_pipe, "pipe: not a regular file; expected a robot description"),
     "a device": (typed("--urdf", "/dev/zero"), "/dev/zero: not a regular file"),
-    "a bag": (typed("--urdf", BAG / "arm3.mcap"), r"arm3.mcap: the robot description cannot be read"),
     "SDF": (
         with_urdf(lambda _: "<sdf/>"),
         r"changed.urdf: not a URDF, its root element is <sdf>.*URDF or xacro that it",
@@ -216,7 +202,6 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         lambda folder: ("identify", BAG, "--urdf", latin(folder / "a.urdf")),
         r"a.urdf: .*cannot be read.*save it as UTF-8",
     ),
-    "no such model": (typed(*ROBOT, "--model", "no.json"), r"no.json: the model cannot be read"),
 }
 
 

@@ -55,26 +55,13 @@ def test_mujoco_loads_the_robots_that_were_drawn(estimate: Path, tmp_path: Path)
     assert len({robot["links"][0]["mass"] for robot in expected}) == len(expected)
 
 
-def test_pinocchio_reads_the_urdfs_and_nothing_else_of_them_changed(estimate: Path, tmp_path: Path) -> None:
-    geomid("sample", estimate, *FEW, "--for", "moveit", "--out", tmp_path / "u")
-    before = (estimate.parent / "identified.urdf").read_text()
-    for number, robot in enumerate(robots(estimate, tmp_path / "j"), 1):
-        text = (tmp_path / f"u/robot_{number:02d}.urdf").read_text()
-        model = pin.buildModelFromXML(text)
-        masses = sum(link["mass"] for link in robot["links"] if link["name"] != "base_link")
-        assert sum(inertia.mass for inertia in model.inertias[1:]) == pytest.approx(masses, rel=1e-6)
-        assert [e.tag for e in ElementTree.fromstring(text).iter()] == [
-            e.tag for e in ElementTree.fromstring(before).iter()
-        ]
-
-
 def test_the_user_s_own_mjcf_is_found_with_its_meshes_from_the_folder_of_the_robots(
     estimate: Path, tmp_path: Path
 ) -> None:
     own = tmp_path / "own"
     (own / "parts").mkdir(parents=True)
     (own / "parts/part.obj").write_text(TETRAHEDRON)
-    text = done_with_notes("export", estimate, "--for", "mujoco").replace(
+    text = geomid("export", estimate, "--for", "mujoco").stdout.replace(
         "<worldbody>", '<asset><mesh name="part" file="part.obj"/></asset>\n  <worldbody><!-- mine -->', 1
     )
     text = text.replace("<compiler ", '<compiler meshdir="parts" ', 1)
@@ -89,13 +76,7 @@ def test_the_user_s_own_mjcf_is_found_with_its_meshes_from_the_folder_of_the_rob
             assert model.body(link["name"]).mass[0] == pytest.approx(link["mass"], rel=1e-9)
 
 
-def done_with_notes(*arguments: str | Path) -> str:
-    result = geomid(*arguments)
-    assert result.exit_code == 0
-    return str(result.stdout)
-
-
-def test_ranges_hold_the_estimate_and_are_event_terms_for_isaac_lab(estimate: Path, tmp_path: Path) -> None:
+def test_ranges_hold_the_estimate_and_are_events_for_isaac_lab_beside_urdfs(estimate: Path, tmp_path: Path) -> None:
     geomid("sample", estimate, *FEW, "--for", "isaac", "--out", tmp_path)
     found = yaml.safe_load((tmp_path / "ranges.yaml").read_text())
     document = json.loads(estimate.read_text())
@@ -110,7 +91,13 @@ def test_ranges_hold_the_estimate_and_are_event_terms_for_isaac_lab(estimate: Pa
     armature = found["events"]["parameters_of_joint1"]["params"]["armature_distribution_params"]
     (rotor,) = (e["range"] for e in found["effects"] if (e["effect"], e["joint"]) == ("rotor_inertia", "joint1"))
     assert armature == rotor
-    assert len([*tmp_path.glob("robot_*.urdf")]) == int(FEW[1])
+    urdfs = sorted(tmp_path.glob("robot_*.urdf"))
+    before = [element.tag for element in ElementTree.parse(estimate.parent / "identified.urdf").iter()]
+    for file, robot in zip(urdfs, robots(estimate, tmp_path / "j"), strict=True):
+        model = pin.buildModelFromXML(file.read_text())
+        masses = sum(link["mass"] for link in robot["links"] if link["name"] != "base_link")
+        assert sum(inertia.mass for inertia in model.inertias[1:]) == pytest.approx(masses, rel=1e-6)
+        assert [element.tag for element in ElementTree.parse(file).iter()] == before, "nothing else has changed"
     joints = [json.loads(file.read_text()) for file in tmp_path.glob("robot_*_isaac_joints.json")]
     drawn = [of_robot["joint1"]["armature"] for of_robot in joints]
     assert len(set(drawn)) == int(FEW[1])
@@ -147,16 +134,11 @@ def test_what_is_refused(estimate: Path, tmp_path: Path) -> None:
     assert "not an estimate.json" in refused("sample", alone / "identified.urdf", *draw)
     (alone / "posterior.npz").write_bytes((estimate.parent / "posterior.npz").read_bytes()[:-100])
     assert "cannot be read" in refused("sample", alone / "estimate.json", *draw)
+    (alone / "posterior.npz").write_bytes((estimate.parent / "posterior.npz").read_bytes())
+    document = json.loads(estimate.read_text())
+    document["links"][-1]["com"][0] += 1e-4
+    (alone / "estimate.json").write_text(json.dumps(document))
+    assert "belongs to another estimate than" in refused("sample", alone / "estimate.json", *draw)
     assert "into is a file of MuJoCo's" in refused("sample", estimate, "--for", "isaac", "--into", "robot.xml")
     assert "0.0<x<=3.0" in refused("sample", estimate, *draw, "--spread", "4")
     assert not (tmp_path / "out").exists()
-
-
-def test_the_posterior_of_another_run_is_refused(estimate: Path, tmp_path: Path) -> None:
-    for name in ("identified.urdf", "posterior.npz"):
-        (tmp_path / name).write_bytes((estimate.parent / name).read_bytes())
-    document = json.loads(estimate.read_text())
-    document["links"][-1]["com"][0] += 1e-4
-    (tmp_path / "estimate.json").write_text(json.dumps(document))
-    message = refused("sample", tmp_path / "estimate.json", "--for", "json", "--out", tmp_path / "out")
-    assert "belongs to another estimate than" in message

@@ -97,12 +97,8 @@ def test_a_library_that_is_missing_is_named(library: str, command: tuple[str, ..
 NOWHERE = "nowhere"  # no bag, URDF or model: work on it would be refused with its name
 COMMAND_LINES = (
     ("identify", NOWHERE, "--out", "{}"),
-    ("gap", NOWHERE, "--out", "{}"),
-    ("fleet", NOWHERE, "--out", "{}"),
-    ("sample", NOWHERE, "--for", "json", "--out", "{}"),
     ("excite", "--urdf", NOWHERE, "--out", "{}"),
     ("excite", "run", NOWHERE, "--execute", "--out", "{}"),
-    ("demo", "--out", "{}"),
     ("simulate", "{}/bag", "--robot", NOWHERE),
     ("prior", NOWHERE, "--mass", "3", "--out", "{}/prior.urdf"),
 )

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from files.recordings import BAGS
 
-from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
@@ -57,21 +56,3 @@ def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.
     monkeypatch.setattr(session.review.check, "add", lambda samples: judged.append(len(samples)))
     found = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).read(())
     assert judged == [sum(map(len, (*found.train, *found.held_out)))]
-
-
-def test_of_effects_columns_only_what_is_read_is_kept_to_be_judged(session: Session) -> None:
-    kept: list[Excerpt] = []
-    check = RecordingCheck(
-        CheckTask(session.model, np.ones(len(session.robot.joints)), {}),
-        lambda _, excerpt: kept.append(excerpt) or CheckResult(),
-    )
-    with Bag(BAG) as bag:
-        pipeline = gap_pipeline(session, CUTOFF)
-        for samples in read_samples(bag, session, pipeline, Topics("joint_states", "odom")):
-            assert len(samples.entries.columns) > 2
-            check.add(samples)
-    assert not check.findings()
-    (excerpt,) = kept
-    for samples in (excerpt.kept.samples, excerpt.kept.next_samples, excerpt.recent_motion):
-        assert samples is not None
-        assert set(samples.entries.columns) == {SIGN, SMOOTH_SIGN}

@@ -104,14 +104,6 @@ def test_a_model_with_a_payload_is_that_of_its_own_description_and_of_the_given_
         np.testing.assert_allclose(nominal[link], own, rtol=1e-12, err_msg=link)
 
 
-def test_a_payload_of_a_file_is_in_the_link_that_carries_it() -> None:
-    name = next(iter(BODIES))
-    carried = WrittenModel(BODIES, (effect("payload", name, **PAYLOAD), effect("effort_offset", "joint1", offset=0.1)))
-    merged = carried.with_payloads_in_links
-    np.testing.assert_array_equal(merged.inertias[name], BODIES[name] + effect("payload", name, **PAYLOAD).body)
-    assert merged.effects == carried.effects[1:]
-
-
 def test_friction_that_shrinks_is_never_less_than_nothing() -> None:
     friction = effect("coulomb_friction", "joint1", level=0.2)
     assert with_shifted_parameters(friction, {"level": -0.5}).parameters["level"].value == 0.0
