@@ -51,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def walk(folder: Path) -> WalkOptions:
     gaits = ("wobble", "lift")
-    return WalkOptions(robot=str(folder / "go2.urdf"), feet=FEET, imu=IMU, gaits=gaits, duration=12.0, rate=125.0)
+    return WalkOptions(robot=str(folder / "go2.urdf"), feet=FEET, imu=IMU, gaits=gaits, duration=20.0, rate=125.0)
 
 
 @cache
@@ -96,6 +96,7 @@ def identified(bag: Path, urdf: Path, **options: Any) -> geomid_ros.Identificati
         return geomid_ros.identify(bag, urdf, **{**usual, "candidates": [], **options})
 
 
+@pytest.mark.usefixtures("in_a_step")
 def test_a_foot_that_no_contact_names_is_found(folder: Path) -> None:
     """By what its leg bears; and nothing is said that follows from that."""
     found = identified(folder / "walk", folder / "go2.urdf", contacts=CONTACTS[:3], alike="none")
@@ -134,8 +135,8 @@ def test_an_imu_elsewhere_is_told(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("found_only")
 def test_a_load_on_the_trunk_is_named(folder: Path, tmp_path: Path) -> None:
     """Beside a model of the same robot without it, from another motion: nothing else is sure."""
-    loaded = folder / "walk"
-    simulate_walk(tmp_path / "empty", replace(walk(folder), motion_seed=5, payload=0.0))
+    loaded = write_bag(tmp_path / "loaded", until(folder / "walk", 10))
+    simulate_walk(tmp_path / "empty", replace(walk(folder), motion_seed=5, duration=10.0, payload=0.0))
     identified(tmp_path / "empty", folder / "go2.urdf").save(tmp_path / "model", report=False)
     arguments = [loaded, "--urdf", folder / "go2.urdf", *LEGS[:-2], "--alike", "none"]
     geomid("gap", *arguments, "--model", tmp_path / "model" / "estimate.json", "--out", tmp_path / "gap")
@@ -272,8 +273,8 @@ def reversed_hip(item: Recorded) -> Recorded:
 @pytest.mark.parametrize(
     ("change", "seconds", "reason"),
     [
-        (late, 12, r"\b(9[4-9]|10[0-6]) ms late\b.*synchronise its clock"),
-        (reversed_hip, 12, "effort of joint 'FL_hip_joint' is reversed: with joint.FL_hip_joint.effort_gain: -1.0"),
+        (late, 20, r"\b(9[4-9]|10[0-6]) ms late\b.*synchronise its clock"),
+        (reversed_hip, 20, "effort of joint 'FL_hip_joint' is reversed: with joint.FL_hip_joint.effort_gain: -1.0"),
         (scaled("effort", -1.0), 6, "leg efforts support -1"),
         (scaled("effort", 10.0), 6, "leg efforts support 1"),
     ],

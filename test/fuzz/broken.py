@@ -1,4 +1,4 @@
-"""Targets that are broken in every way which the fuzzer must find."""
+"""A target that is broken in every way which the fuzzer must find."""
 
 from __future__ import annotations
 
@@ -28,12 +28,5 @@ class Broken:
             bytearray(2**31)
         if self._index == 9:
             raise InputError("refused, as it should be")
-
-
-class Dying(Broken):
-    """Ends the process, as a fault in a compiled library does, again and again."""
-
-    def attempt(self, random: Random) -> None:
-        self._index += 1
-        if random.random() < 0.5:
-            os.abort()
+        if self._index == 11:
+            os.abort()  # as a fault in a compiled library does
