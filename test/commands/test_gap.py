@@ -104,11 +104,10 @@ def test_the_written_model_has_what_was_found(found: tuple[Path, str]) -> None:
 
 
 @pytest.mark.usefixtures("found_only")
-def test_the_model_of_a_doubtful_recording_is_marked_so(torques: Path, tmp_path: Path) -> None:
+def test_the_model_of_a_doubtful_recording_is_marked_so(tmp_path: Path) -> None:
     parameters = tmp_path / "reversed.yaml"
     parameters.write_text("/**: {ros__parameters: {effort_gain: -1.0}}")
-    arguments = "--urdf", URDF, "--model", torques / "estimate.json", "--config", parameters, "--out", tmp_path / "out"
-    result = geomid("gap", BAGS / "arm3", *arguments)
+    result = geomid("gap", BAGS / "arm3", "--urdf", URDF, "--config", parameters, "--out", tmp_path / "out")
     assert result.exit_code == 4, result.output
     verdict = EstimateFile.read(tmp_path / "out/estimate.json").document["verdict"]
     assert (verdict["result"], verdict["causes"]) == ("doubtful", read(tmp_path / "out")["causes"])

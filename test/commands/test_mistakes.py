@@ -128,7 +128,6 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "21 no such URDF": (typed("--urdf", "nope.urdf"), r"nope.urdf: the robot description cannot be read"),
     "23 effect": (typed(*ROBOT, "--effects", "coulomb"), r"Did you mean 'coulomb_friction'\?"),
-    "24 link": (typed(*ROBOT, "--links", "link77"), r"unknown link 'link77'. Did you mean 'link\d'\?"),
     "27 another link": (
         typed(*ROBOT, "--wrench", "/wrench:link3:mounted"),
         r"frame 'wrist_ft' is not the declared 'link3'; --wrench sets the frame.*wrench\.\*\.frame_id",
@@ -137,7 +136,6 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         typed(*ROBOT, "--wrench", "/ft:wrist_ft:mounted"),
         r"no topic /ft; --wrench, or .* in a parameter file, names another.*/wrench \(",
     ),
-    "30 no role": (typed(*ROBOT, "--wrench", "/wrench:wrist_ft"), r"not of the form TOPIC:FRAME:ROLE\[:AXES\], e.g."),
     "32 floating": (
         typed(*ROBOT, "--floating-base"),
         r"needs --contacts, the feet on the ground, or at least one wrench sensor of role external",
@@ -191,7 +189,6 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         r"changed.urdf: no moving link has a mass.*'geomid prior URDF --mass KG'",
     ),
     # what does not fit the robot or the recording
-    "wrench's frame": (typed(*ROBOT, "--wrench", "/wrench:wrist:mounted"), r"unknown link 'wrist'.*'wrist_ft'"),
     "gain of no joint": (configured("{joint: {elbow: {effort_gain: 2}}}"), r"joint .*'elbow'.*joint1, joint2, joint3"),
     "cutoff too high": (
         configured("{filter: {cutoff: 90}}"),
