@@ -262,6 +262,17 @@ def late(item: Recorded) -> Recorded:
     return item.changed(header=replace(header, stamp=replace(header.stamp, sec=sec, nanosec=nanosec)))
 
 
+def turned(item: Recorded) -> Recorded:
+    """The messages of an IMU that is turned about the vertical, where gravity tells nothing of it."""
+    if item.topic != "/imu":
+        return item
+    cos, sin = np.cos(0.5), np.sin(0.5)
+    sensed = {key: getattr(item.message, key) for key in ("angular_velocity", "linear_acceleration")}
+    return item.changed(
+        **{key: replace(v, x=cos * v.x + sin * v.y, y=cos * v.y - sin * v.x) for key, v in sensed.items()}
+    )
+
+
 def reversed_hip(item: Recorded) -> Recorded:
     if item.topic != "/joint_states":
         return item
@@ -274,6 +285,7 @@ def reversed_hip(item: Recorded) -> Recorded:
     ("change", "seconds", "reason"),
     [
         (late, 20, r"\b(9[4-9]|10[0-6]) ms late\b.*synchronise its clock"),
+        (turned, 20, r"turned by about (2[5-9]|3[0-2]) degrees against its frame"),
         (reversed_hip, 20, "effort of joint 'FL_hip_joint' is reversed: with joint.FL_hip_joint.effort_gain: -1.0"),
         (scaled("effort", -1.0), 6, "leg efforts support -1"),
         (scaled("effort", 10.0), 6, "leg efforts support 1"),
@@ -282,7 +294,7 @@ def reversed_hip(item: Recorded) -> Recorded:
 def test_what_the_legs_contradict_is_doubted_first(
     change: Callable[[Recorded], Recorded], seconds: int, reason: str, folder: Path, tmp_path: Path
 ) -> None:
-    """An IMU whose clock is off, a reversed effort, efforts of another sign or unit."""
+    """An IMU whose clock is off or that is turned, a reversed effort, efforts of another sign or unit."""
     bag = write_bag(tmp_path / "spoiled", map(change, until(folder / "walk", seconds)))
     found = identified(bag, folder / "go2.urdf", alike="none", hold_out=0.0)
     assert found.verdict.word == DOUBTFUL
