@@ -146,7 +146,7 @@ def test_what_is_carried_is_neither_learned_nor_judged(monkeypatch: pytest.Monke
 @pytest.mark.parametrize(("is_as_described", "word"), [(False, "usable"), (True, "doubtful")])
 def test_later_data_confirm_an_estimate_or_refute_it(is_as_described: bool, word: str) -> None:
     """A model from few data may be worse than the URDF on those that follow: until these are known, it is doubtful."""
-    arm, half = Arm(), 1000
+    arm, half = Arm(), 500
     none = {name: np.zeros_like(values) for name, values in arm.truth.effects.items()}
     described = replace(arm.truth, links=np.array([body.parameters for body in arm.robot.bodies]), effects=none)
     measured = arm.measured(arm.truth)
