@@ -81,13 +81,15 @@ def test_nothing_that_a_robot_would_follow_is_published_unless_named(stage: Stag
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 def test_a_player_that_is_told_to_end(number: signal.Signals, stage: Stage) -> None:
     """While it waits for subscribers, or while it plays; the status says that not all was published."""
-    player = stage.play(BAGS / "arm3", fresh=number == signal.SIGINT)
+    player = stage.play(BAGS / "arm3", 0.1, fresh=number == signal.SIGINT)
     if number == signal.SIGINT:
         heard = stage.observer.collect(JointState, "/joint_states")
         stage.observer.wait_for(lambda: len(heard) > 10, "messages")
         descriptions = stage.observer.collect(String, "/robot_description", latched(1))
         stage.observer.wait_for(lambda: descriptions, "the description, which is kept for who comes late")
         assert descriptions[0].data == (BAGS / "arm3.urdf").read_text()
+        stage.observer.spin(0.5)
+        assert len(heard) < 400, "ten in a second, not all at once"
     else:
         topics = stage.observer.node.get_topic_names_and_types
         stage.observer.wait_for(lambda: "/joint_states" in dict(topics()), "a player")
