@@ -126,6 +126,7 @@ def test_columns_of_effects_that_depend_on_the_load() -> None:
     ("document", "message"),
     [
         ({"findings": []}, "no finding has a rival"),
+        ({"format": 2, "findings": []}, "has format 2"),
         ({"findings": [finding("spring", "j2", [("ghost", "")], stiffness=1.0)]}, "'ghost'"),
         ({"findings": [ROTOR], "floor": {"j1": 0.1, "joint4": 0.1}}, "written for another robot.*'joint4'"),
         ({"findings": [ROTOR], "floor": {"j1": 0.1, "arm/tx": 0.1, "tool/j9": 0.1}}, "another robot.*'tool/j9'"),

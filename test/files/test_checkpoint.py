@@ -222,13 +222,21 @@ class TestCrafted:
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [0], "data_offsets": [0, 8]}}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [0], "data_offsets": [8, 0]}}',
             b'{"__metadata__": {"document": "' + b"[" * 100_000 + b'"}}',
-            b'{"__metadata__": {"document": "{\\"x\\": Infinity}"}}',
         ],
-        ids=range(11),
+        ids=range(10),
     )
     def test_headers(self, header: bytes) -> None:
         with pytest.raises(InputError):
             read(signed(len(header).to_bytes(8, "little") + header + bytes(8)))
+
+    def test_other_vectors_than_are_said_and_infinity(self) -> None:
+        body = pack("{}", {"x": np.zeros(2)})[:-32]
+        for told in (b"[1]", b"[3]"):
+            with pytest.raises(InputError, match="describes other vectors"):
+                unpack(signed(body.replace(b"[2]", told)))
+        text, vectors = unpack(small()[1])
+        with pytest.raises(InputError, match="Infinity is not JSON"):
+            read(pack(text.replace('"weight": ', '"weight": Infinity, "more": '), vectors))
 
     @settings(max_examples=100, deadline=None)
     @given(st.data())

@@ -102,6 +102,7 @@ def of_another_robot(result: dict[str, Any]) -> None:
 NOT_FINITE = base64.b64encode(np.full(20, np.nan, "<f4").tobytes()).decode()
 UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "no links": (edited("links"), "no 'links'"),
+    "no effects": (edited("effects"), "'effects'"),
     "another format": (edited("format", value=99), "format 99"),
     "information of other links": (edited("information", "rows", value="AAAAAA=="), "the information on 2 links"),
     "information in another order": (edited("information", "links", value=["link1", "link3"]), "in another order"),

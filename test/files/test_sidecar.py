@@ -52,6 +52,8 @@ def test_it_explains_itself(tmp_path: Path) -> None:
 FIRST = ("effects", 0)
 LEVEL = (*FIRST, "parameters", "coefficient")
 UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
+    "no effects": (edited("effects"), "no 'effects'"),
+    "another format": (edited("format", value=7), "format 7"),
     "an unknown effect": (edited(*FIRST, "effect", value="viscous_frictoin"), "Did you mean 'viscous_friction'"),
     "a missing parameter": (edited(*LEVEL), "coefficient is not given"),
     "an unknown parameter": (

@@ -95,6 +95,7 @@ def written(folder: Path, topics: dict[str, int]) -> Path:
 
 BAGS_REFUSED = {
     "no points": ({"/plan": 1}, None, "no message on /plan has points"),
+    "no messages": ({"/states": 0}, None, "no message on /states has points"),
     "two topics": ({"/plan": 4, "/other": 4}, None, "found /plan, /other; --topic names one"),
     "no such topic": ({"/plan": 4}, "/path", "has no topic /path; --topic names another"),
 }
