@@ -358,7 +358,7 @@ class PayloadWatch:
         ends = [_sum(last[count - 1 :: -1]) for count in (_SOON, REMEMBERED) if len(last) >= count]
         if not any(map(self._may_carry, ends)):
             return False
-        fits = [(tail, self._fit(tail, self._prior)) for tail in self._tails()]
+        fits = [(tail, self._fit(tail, self._prior, self._surprise)) for tail in self._tails()]
         tail, fit = max(fits, key=lambda item: item[1].excess)
         if fit.excess < self._surprise:
             return False
@@ -398,9 +398,10 @@ class PayloadWatch:
                 break
         return False
 
-    def _fit(self, block: _Block, point: Point) -> _Fit:
+    def _fit(self, block: _Block, point: Point, least: float = -np.inf) -> _Fit:
         """Fit the most probable payload by Gauss-Newton steps on the manifold from a ``point``, halved until they make
-        it more probable; with Laplace's approximation of its evidence."""
+        it more probable; with Laplace's approximation of its evidence. It ends where a whole step is expected to leave
+        the payload's excess below the ``least`` of use."""
         likelihood, prior, precision = self._likelihood(block), self._prior, self._precision
 
         def log_posterior(point: Point) -> float:
@@ -413,6 +414,8 @@ class PayloadWatch:
             hessian = jacobian.T @ likelihood.information @ jacobian
             slope = jacobian.T @ (likelihood.slope - likelihood.information @ point.parameters) + precision * away
             step = spd.solve_or_least_squares(hessian + precision * curvature[0], slope)
+            if reached + 0.5 * float(slope @ step) - likelihood.unknown < least:
+                break
             length = float(np.linalg.norm(step))
             share = min(1.0, LARGEST_STEP / max(length, SETTLED))
             end = ONE_BODY.exp(point, share * step)

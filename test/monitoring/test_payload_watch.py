@@ -10,14 +10,14 @@ from estimation.arms import Truth, efforts, motion, samples, shipped, truth
 
 from benchmarks.alarms.cases import Alarm, Case, Outcome
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.geometry.manifold import ONE_BODY
+from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold
 from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import ALARM, ChangeDetector, ChannelGap
-from geomid_ros.monitoring.payload_watch import CarriedPayload, ChannelNoise, PayloadWatch
+from geomid_ros.monitoring.payload_watch import REMEMBERED, CarriedPayload, ChannelNoise, PayloadWatch
 
 RATE = 50.0  # [Hz]
 BEFORE, AFTER, END = 50.0, 65.0, 80.0  # [s]
@@ -154,6 +154,17 @@ def test_friction_of_a_joint_is_no_payload() -> None:
     states = arm.watched(arm.measured(replace(arm.truth, effects=effects)))
     assert all(state.carried is None for state in states)
     assert any(state.open for state in states)
+
+
+def test_another_robot_costs_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no payload can explain enough, none is fitted to the end, for each tail of the window in each block."""
+    arm, steps, step = Arm(), list[int](), ParameterManifold.exp
+    monkeypatch.setattr(ParameterManifold, "exp", lambda *given: steps.append(1) or step(*given))
+    links = np.array([body.parameters for body in arm.robot.bodies])
+    none = {name: np.zeros_like(values) for name, values in arm.truth.effects.items()}
+    states = arm.watched(arm.measured(replace(arm.truth, links=links, effects=none)))
+    assert any(state.open for state in states)
+    assert len(steps) < REMEMBERED * len(states)
 
 
 def test_a_gap_that_was_open_before_stays_open_since_then() -> None:
