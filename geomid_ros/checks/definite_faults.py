@@ -183,7 +183,7 @@ def wrong_gains(controller: PDController, samples: Samples, joints: Sequence[str
         errors, effort = errors[finite], effort[finite]
         fitted = np.linalg.lstsq(errors, effort, rcond=None)[0]
         rest = [float(np.linalg.norm(effort - errors @ gains) / np.linalg.norm(effort)) for gains in (given, fitted)]
-        if rest[1] < LEAST_SIGMA < rest[0]:
+        if rest[1] < LEAST_SIGMA < rest[0] and np.any(np.abs(fitted - given) > LEAST_SIGMA * given):
             wrong[name] = f"{fitted[0]:.3g}:{fitted[1]:.3g} at '{name}', given is {given[0]:g}:{given[1]:g}"
     described = "; ".join(wrong.values())
     sentence = f"the reported efforts are those of other gains: {described}. Correct command.gains (--gains)"

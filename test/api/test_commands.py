@@ -95,7 +95,7 @@ def test_wrong_gains_are_named_by_reported_efforts_and_those_of_a_controller_s_f
     gains = {joint: {"p": p, "d": d} for joint, p, d in zip(JOINTS, KP.tolist(), KD.tolist(), strict=True)}
     file.write_text(json.dumps({"controller": {"ros__parameters": {"gains": gains}}}))
     bag = write_bag(tmp_path / "right", commanded(1.0))
-    right = geomid_ros.identify(bag, URDF, command=TOPIC, gains=str(file))
+    right = geomid_ros.identify(bag, URDF, command=TOPIC, gains=str(file), candidates=())
     assert not [each for each in right.verdict.reasons if "gains" in each]
 
 
