@@ -76,7 +76,7 @@ def test_what_else_is_said_of_a_result() -> None:
     case, estimate = solved()
     scale = WeighedEstimate(name="total", given=15.0, given_std=0.1, mass=15.0, std=0.1)
     assert judged(replace(weighing(estimate, 3.0), known=(scale,))).status == 0
-    result = verdict(estimate, (), case.model, implausible_links=["link 'link2' is lead"])
+    result = verdict(estimate, (), case.model, doubts=["link 'link2' is lead"])
     assert (result.status, result.reasons) == (4, ("link 'link2' is lead",))
     (warning,) = verdict(estimate, (), case.model, unmeasured=["joint2"]).warnings
     assert "'joint2'" in warning

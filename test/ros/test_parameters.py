@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
-from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +20,12 @@ from signals.feeding import completed
 
 from geomid_ros.errors import InputError
 from geomid_ros.ros.node import GeomidNode
-from geomid_ros.ros.relay import FeedforwardRelay
-from geomid_ros.ros.startup import check_arguments, running_node, running_ros
 from geomid_ros.session.configuration import AT_START, PARAMETERS, Configuration
 from geomid_ros.session.session import Session
 
-from .processes import parameter_file
+from .processes import Process
 from .rig import FLAT_WRIST
-from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages, staged
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
 HALF = messages()[:800]
 ARM3 = description("arm3")
@@ -57,68 +53,31 @@ REFUSED: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
     "payload": (RELAY, {**HEAVIEST, "heaviest_payload": np.nan}, ("heaviest_payload is nan, expected a number",)),
     "link": (RELAY, {**HEAVIEST, "link": "hand"}, ("unknown link 'hand'",)),
 }
+# Arguments that are not for ROS, of either program.
+ARGUMENTS = ((NODE, "--params-file x.yaml"), (NODE, "--help"), (RELAY, "--model estimate.json"))
 
 
-@pytest.fixture
-def started(
-    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Callable[[str, dict[str, Any], Sequence[str]], str]:
-    """Why a program cannot start with parameters and arguments of ROS: in this process, where it takes less time."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(stage.domain))
-
-    def why(program: str, parameters: dict[str, Any], arguments: Sequence[str] = ()) -> str:
-        file = parameter_file(tmp_path, parameters)
-        monkeypatch.setattr(sys, "argv", [program, "--ros-args", "--params-file", str(file), *arguments])
-        with pytest.raises(InputError) as error:
-            begin(program)
-        return str(error.value)
-
-    return why
-
-
-def begin(program: str) -> None:
-    """What a program makes."""
-    if program == NODE:
-        with running_ros():
-            GeomidNode()
-    else:
-        with running_node("relay", automatically_declare_parameters_from_overrides=True) as node:
-            FeedforwardRelay(node)
-
-
-def test_what_cannot_be_used_is_refused_with_one_message(started: Callable[..., str]) -> None:
-    """What is wrong, what would be right."""
-    for case, (program, parameters, parts) in REFUSED.items():
-        message = started(program, parameters)
-        assert "\n" not in message
-        for part in parts:
-            assert part in message, f"{case}: {message}"
-
-
-@pytest.mark.parametrize("arguments", ["--params-file x.yaml", "--help", "--model estimate.json"])
-def test_arguments_that_are_not_for_ros_are_refused(arguments: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", [NODE, *arguments.split(), "--ros-args", "-p", "use_sim_time:=false"])
-    with pytest.raises(InputError, match=f"^{arguments}: not an argument of ROS; parameters go behind --ros-args"):
-        check_arguments()
-
-
-def test_a_program_that_is_refused_says_so_once(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With status 2, and no traceback."""
-    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
-    monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
-    player = stage.play(BAGS / "arm3")
-    monkeypatch.delenv("ROS_SECURITY_ENABLE")
-    said = {
-        r"Error: ROS cannot start .*ROS_SECURITY_KEYSTORE is not set": player,
-        r"geomid_node: .*unknown parameter 'gama'": stage.node({"gama": 0.5}, ready=False, fresh=True),
-        r"geomid_feedforward: .*tolerance is 0": stage.node({"tolerance": 0}, module=RELAY, ready=False),
+def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
+    """Status 2, what is wrong, what would be right. All at once: starting takes its time."""
+    started: dict[str, Process] = {}
+    for case, (module, parameters, _) in REFUSED.items():
+        started[case] = stage.node(parameters, module=module, ready=False, fresh=not started)
+    missing = stage.start(NODE, "--ros-args", "--params-file", stage.folder / "nowhere.yaml")
+    others = {
+        argument: stage.start(module, *argument.split(), "--ros-args", "-p", "use_sim_time:=false")
+        for module, argument in ARGUMENTS
     }
-    for pattern, process in said.items():
-        assert process.status() == 2, process.output
-        own = [line for line in process.output.splitlines() if re.match(r"geomid_\w+: |Error: ", line)]
-        assert len(own) == 1, process.output
-        assert re.match(pattern, own[0]), own
-        assert "Traceback" not in process.output
+    for case, (_, _, parts) in REFUSED.items():
+        process = started[case]
+        assert process.status() == 2, f"{case}: {process.output}"
+        (line,) = [line for line in process.output.splitlines() if re.match("geomid_(node|feedforward): ", line)]
+        for part in parts:
+            assert part in line, f"{case}: {line}"
+    assert missing.status() == 2
+    assert "nowhere.yaml" in missing.output
+    for argument, process in others.items():
+        assert process.status() == 2, f"{argument}: {process.output}"
+        assert f": {argument}: not an argument of ROS; parameters go behind --ros-args" in process.output
 
 
 def test_a_node_that_is_refused_is_gone_at_once(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,24 +104,32 @@ CANNOT_START: dict[str, tuple[dict[str, str], tuple[str, ...], tuple[str, ...]]]
     "no keystore": ({"ROS_SECURITY_KEYSTORE": "{folder}/nowhere"}, (), ("{folder}/nowhere",)),
     "empty keystore": ({"ROS_SECURITY_KEYSTORE": "{folder}"}, (), ("ROS_SECURITY_KEYSTORE is {folder}",)),
     "parameter": ({}, ("-p", "x"), ("'-p x'",)),
-    "no file": ({}, ("--params-file", "nowhere.yaml"), ("nowhere.yaml",)),
     "QoS": ({}, ("-p", "qos_overrides./joint_states.subscription.reliability:=good"), ("'joint_states'", "`good`")),
 }
 
 
-@pytest.mark.parametrize("case", CANNOT_START)
-def test_ros_that_cannot_start_is_refused_with_what_is_wrong(
-    case: str, started: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_ros_that_cannot_start_is_refused_with_one_message(
+    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    variables, arguments, parts = CANNOT_START[case]
+    """Status 2 and what is wrong or missing, from the node and the player; no traceback."""
     (tmp_path / "enclaves").mkdir()
     enforced = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
-    for name, value in ({**enforced, **variables} if variables else {}).items():
-        monkeypatch.setenv(name, value.format(folder=tmp_path))
-    message = started(NODE, {}, arguments)
-    assert "\n" not in message
-    for part in parts:
-        assert part.format(folder=tmp_path) in message
+    started: dict[str, list[Process]] = {}
+    for case, (variables, arguments, _) in CANNOT_START.items():
+        with monkeypatch.context() as patch:
+            for name, value in ({} if arguments else {**enforced, **variables}).items():
+                patch.setenv(name, value.format(folder=tmp_path))
+            fresh = not started  # of the first case, as a user starts them
+            started[case] = [stage.node({}, *arguments, ready=False, fresh=fresh)]
+            if not arguments:
+                started[case].append(stage.play(BAGS / "arm3", fresh=fresh))
+    for case, (_, _, parts) in CANNOT_START.items():
+        for process in started[case]:
+            assert process.status() == 2, f"{case}: {process.output}"
+            (line,) = [line for line in process.output.splitlines() if line.startswith(("geomid_node: ", "Error: "))]
+            for part in parts:
+                assert part.format(folder=tmp_path) in line, f"{case}: {line}"
+            assert "Traceback" not in process.output
 
 
 def get(stage: Stage, names: list[str], namespace: str = "") -> list[ParameterValue]:
@@ -212,23 +179,18 @@ def saved_masses(stage: Stage, out: Path) -> NDArray[np.float64]:
     return np.array([link["mass"] for link in json.loads((out / "estimate.json").read_text())["links"]])
 
 
-@pytest.fixture(scope="module")
-def fed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stage, Path]]:
-    """A node that has taken half of a recording, and its folder."""
-    with staged(tmp_path_factory.mktemp("fed")) as stage:
-        yield stage, with_half(stage, stage.folder / "out")
-
-
-def with_half(stage: Stage, folder: Path) -> Path:
+@pytest.fixture
+def out(stage: Stage, tmp_path: Path) -> Path:
+    """Folder of a node that has taken half of a recording."""
+    folder = tmp_path / "out"
     stage.node({**WRIST, **NO_CHOICE, "robot_description": ARM3, "output_folder": str(folder), "gamma": 0.01})
     stage.observer.publish(HALF, KINDS)
     stage.fed({"joint_states": len(HALF) // 2})
     return folder
 
 
-def test_the_weight_of_the_prior_changes_while_the_node_runs(fed: tuple[Stage, Path]) -> None:
+def test_the_weight_of_the_prior_changes_while_the_node_runs(stage: Stage, out: Path) -> None:
     """From the same rows: with much weight the estimate is the URDF, and back it is what it was."""
-    stage, out = fed
     nominal = Session(ARM3, Configuration({"wrenches": ["wrist"], **FLAT_WRIST}), "arm3").model.nominal_inertias[::10]
     before = saved_masses(stage, out)
     assert np.max(np.abs(before / nominal - 1.0)) > 0.05
@@ -241,10 +203,9 @@ def test_the_weight_of_the_prior_changes_while_the_node_runs(fed: tuple[Stage, P
     np.testing.assert_allclose(saved_masses(stage, out), before, rtol=1e-6)
 
 
-def test_what_rows_depend_on_changes_after_stop_and_reset(fed: tuple[Stage, Path]) -> None:
+def test_what_rows_depend_on_changes_after_stop_and_reset(stage: Stage, out: Path) -> None:
     """Until then, and for what never changes, the reason says that it is read-only. What does not fit the robot changes
     nothing."""
-    stage, out = fed
     for name, value in (("filter.cutoff", 2.0), ("effort_gain", 2.0), ("floating_base", True)):
         reason = change(stage, name, value)
         assert "read-only" in reason

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from std_msgs.msg import String
 
 import geomid_ros
 from geomid_ros.api.feedforward import robot_to_move
+from geomid_ros.checks.verdict import USABLE
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
@@ -148,12 +150,14 @@ def test_messages_are_taken_once_more_in_a_pause_unless_they_are_predicted(activ
 
 
 def test_commands_are_streamed_with_the_efforts_that_motors_need(stage: Stage) -> None:
-    """By the last estimate, while somebody subscribes; identification does not use them."""
+    """By the last estimate that later data confirm, while somebody subscribes; identification does not use them."""
     observer, recorded = stage.observer, messages_of("arm3")
     stage.node({"robot_description": description("arm3"), **NO_CHOICE})
     estimates = observer.collect(String, "/geomid/estimate", latched())
     observer.publish(recorded[:600], {"/joint_states": JointState})
     observer.wait_for(lambda: estimates, "an estimate")
+    observer.publish(recorded[600:], {"/joint_states": JointState})
+    observer.wait_for(lambda: json.loads(estimates[-1].data)["verdict"]["result"] == USABLE, "a usable one")
     commands = observer.node.create_publisher(JointState, "/joint_commands", 10)
     observer.spin(MATCHING)
     assert not commands.get_subscription_count()
