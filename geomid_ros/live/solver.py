@@ -14,6 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
@@ -104,7 +105,8 @@ class Solver:
         self.solves = 0  # number of estimates so far
         self._solved_rows = 0
         self._unchecked: deque[tuple[int, Samples]] = deque(maxlen=MOST_WAITING)  # with the numbers of the next ones
-        self._later: deque[Samples] = deque(maxlen=MOST_WAITING)  # since the last estimate, until one is confirmed
+        self._awaiting: tuple[int, Estimate] | None = None  # number of the next sample, and the estimate to confirm
+        self._later: deque[Samples] = deque(maxlen=MOST_WAITING)  # samples since then
         session.review.await_confirmation()
         self._pace = Pace()
         self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the latest, with its epoch and rows
@@ -163,6 +165,7 @@ class Solver:
             self.changed_sensors = ()
             self.estimate = None
             self._earlier.clear()
+            self._awaiting = None
             self._later.clear()
             self._session.review.await_confirmation()
             self.problem = ""
@@ -279,8 +282,8 @@ class Solver:
         if samples:
             with self._failures.counted("a check of the recording failed"):
                 check.add(Samples.concatenate([piece for _, piece in samples]))
-            if self._session.review.unconfirmed and self._earlier:
-                self._later += [piece for end, piece in samples if end - len(piece) >= self._earlier[-1][0]]
+            if self._session.review.unconfirmed and self._awaiting is not None:
+                self._later += [piece for end, piece in samples if end - len(piece) >= self._awaiting[0]]
 
     def _leave_out_carried(self, detector: ChangeDetector) -> list[tuple[int, Samples]]:
         """Leave out the rows with a payload, and return the unchecked samples that are known to be without, with the
@@ -337,10 +340,9 @@ class Solver:
         try:
             self._session.review.check_description()
             estimate = self._finite(self._session.identifier.solve(warm))
-            before = self.estimate
             if self._keep(estimate, rows, epoch, warm):
-                self._confirm_with_later(before)
                 self._earlier.append((samples, estimate))
+                self._confirm_with_later()
                 self._listener.on_estimate(self._session, estimate)
         except Exception as error:  # noqa: BLE001 the last estimate stays; the diagnostics report it
             if not isinstance(error, GeomidError):
@@ -351,10 +353,14 @@ class Solver:
             return error if isinstance(error, GeomidError) else GeomidError(str(error))
         return estimate
 
-    def _confirm_with_later(self, before: Estimate | None) -> None:
-        """Let the samples since the estimate ``before``, if there are any, decide whether estimates are confirmed."""
-        if before is not None and self._later:
-            self._session.review.confirm(before, tuple(self._later))
+    def _confirm_with_later(self) -> None:
+        """Let the samples since an estimate, once there are enough, decide whether estimates are confirmed; then await
+        those since the last one."""
+        if self._awaiting is not None:
+            if sum(map(len, self._later)) < FEWEST:
+                return
+            self._session.review.confirm(self._awaiting[1], tuple(self._later))
+        self._awaiting = self._earlier[-1]
         self._later.clear()
 
     def _finite(self, estimate: Estimate) -> Estimate:
