@@ -10,7 +10,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.objective import Evaluation, Objective
-from geomid_ros.estimation.tolerances import ROUNDING
+from geomid_ros.estimation.tolerances import LARGEST_STEP, ROUNDING
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.types import FloatArray
@@ -23,7 +23,6 @@ _HIDDEN = 1e-10
 _ROUNDING = 1e-13
 _NEARLY = 0.99  # of the radius: a step that long counts as one to the boundary
 _REMEMBERED = 6  # last rounds of a fixed-point iteration
-_FURTHEST = 30.0  # times the last round's move: farther away g is not linear
 GRADIENT = 1e-8
 """Gradient norm at which a solve ends, as a fraction of the objective's scale."""
 _, _FLAT, _SETTLED, _ROUNDED = ENDS = (
@@ -208,7 +207,7 @@ class Extrapolation:
         ends, moves = (np.array(arrays).T for arrays in zip(*self._rounds, strict=True))
         coefficients, *_ = np.linalg.lstsq(np.diff(moves), moves[:, -1], rcond=ROUNDING)
         correction = np.diff(ends) @ coefficients
-        if not np.max(np.abs(correction)) <= _FURTHEST * np.max(np.abs(ended - begun)):
+        if not np.max(np.abs(correction)) <= LARGEST_STEP:
             self._rounds.clear()
             return ended
         return np.asarray(ended - correction)
