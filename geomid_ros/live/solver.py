@@ -105,8 +105,8 @@ class Solver:
         self.solves = 0  # number of estimates so far
         self._solved_rows = 0
         self._unchecked: deque[tuple[int, Samples]] = deque(maxlen=MOST_WAITING)  # with the numbers of the next ones
-        self._awaiting: tuple[int, Estimate] | None = None  # number of the next sample, and the estimate to confirm
-        self._later: deque[Samples] = deque(maxlen=MOST_WAITING)  # samples since then
+        self._awaiting: tuple[int, Estimate] | None = None  # to be confirmed, with the number of the next sample
+        self._later: deque[tuple[int, Samples]] = deque(maxlen=MOST_WAITING)  # since then, with the same numbers
         session.review.await_confirmation()
         self._pace = Pace()
         self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the latest, with its epoch and rows
@@ -282,8 +282,8 @@ class Solver:
         if samples:
             with self._failures.counted("a check of the recording failed"):
                 check.add(Samples.concatenate([piece for _, piece in samples]))
-            if self._session.review.unconfirmed and self._awaiting is not None:
-                self._later += [piece for end, piece in samples if end - len(piece) >= self._awaiting[0]]
+            if self._session.review.unconfirmed:
+                self._later += samples
 
     def _leave_out_carried(self, detector: ChangeDetector) -> list[tuple[int, Samples]]:
         """Leave out the rows with a payload, and return the unchecked samples that are known to be without, with the
@@ -357,11 +357,13 @@ class Solver:
         """Let the samples since an estimate, once there are enough, decide whether estimates are confirmed; then await
         those since the last one."""
         if self._awaiting is not None:
-            if sum(map(len, self._later)) < FEWEST:
+            known, estimate = self._awaiting
+            later = [piece for end, piece in self._later if end - len(piece) >= known]
+            if sum(map(len, later)) < FEWEST:
                 return
-            self._session.review.confirm(self._awaiting[1], tuple(self._later))
+            self._session.review.confirm(estimate, later)
         self._awaiting = self._earlier[-1]
-        self._later.clear()
+        self._later.clear()  # to save memory
 
     def _finite(self, estimate: Estimate) -> Estimate:
         if np.all(np.isfinite(estimate.parameters)):
