@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -175,11 +176,19 @@ def test_it_ends_where_something_else_has_changed(adapting: Adapting) -> None:
     lockstep, observer, begin = adapting.lockstep, adapting.observer, len(adapting.relay.output)
     gaps = observer.node.create_publisher(String, "/geomid/gap/open", latched(1))
     observer.wait_for(lambda: gaps.get_subscription_count() > 0, "the relay")
-    for text in ("[", "[]", json.dumps({"gaps": []}), json.dumps({"gaps": [{"channel": "/wrench/fx"}]})):
+
+    def is_left_out(times: int) -> bool:
+        lockstep.run(1)
+        return adapting.relay.output.count("is left out") == times
+
+    for number, text in enumerate(("[", "[]"), 1):
         gaps.publish(String(data=text))
+        observer.wait_for(partial(is_left_out, number), "a warning")  # the last message alone waits for the relay
+    for channels in ([], [{"channel": "/wrench/fx"}]):
+        gaps.publish(String(data=json.dumps({"gaps": channels})))
         lockstep.run(10)
+    assert is_left_out(2)
     assert "off until" not in adapting.relay.output[begin:]
-    assert adapting.relay.output.count("is left out") == 2
     gaps.publish(String(data=json.dumps({"gaps": [{"channel": "/wrench/fx"}, {"channel": "joint2"}]})))
     observer.wait_for(lambda: "off until ~/reset: joint 'joint2' has changed" in adapting.relay.output, "the end")
 
