@@ -23,6 +23,7 @@ from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.ros.excite import MotionRequest, prepared_run
 from geomid_ros.session.options import RunOptions
 
+from .observer import MATCHING
 from .processes import Process
 from .stage import Stage, staged
 
@@ -162,6 +163,7 @@ def test_an_error_of_our_own_stops_it_too(robot: Robot, monkeypatch: pytest.Monk
     before, earlier = signal.getsignal(signal.SIGINT), len(robot.commands)
     said: list[str] = []
     with prepared_run(order) as run:
+        robot.observer.spin(MATCHING)  # it fails at once, and must be heard
         monkeypatch.setattr(MotionMonitor, "check", fail)
         with pytest.raises(RuntimeError, match="a defect"):
             run.execute(bag, said.append)
