@@ -36,6 +36,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.spd import SIZE
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.coefficients import Coefficient, Mechanism
 from geomid_ros.model.effects import Effect, Place
@@ -154,12 +155,18 @@ def estimate(
     # Repeats of a motion count when effects are chosen; for the uncertainty of the parameters they hardly do.
     independent = whole.independent_fraction * subproblem(whole, required_columns(model)).distinct
     fits = _Fits(settings, whole, independent)
-    if warm is not None and not warm.effects_alone:
-        found = fits.solved(_kept_columns(model, warm), start=warm)
+    kept = None if warm is None else _kept_columns(model, warm)
+    if warm is not None and kept is not None and not warm.effects_alone:
+        found = fits.solved(kept, start=warm)
     else:
-        choice = fits.choice(whole, None if warm is None else _kept_columns(model, warm))
+        choice = fits.choice(whole, kept)
         found = _significant(partial(fits.solved, alternative=choice), choice.columns, _optional(model))
     result = _estimate(found, whole)
+    held = _uncontradicted_masses(result, whole)
+    if np.any(held):
+        fits = replace(fits, masses_held=held)
+        found = _significant(fits.solved, found.columns, _optional(model))
+        result = _estimate(found, whole)
     first = model.dimension - len(model.coefficients)
     expected_zero = [c.effect.is_sensor_error or bool(c.effect.default_prior_std) for c in model.coefficients]
     about_zero = {c.mechanism for c, is_expected in zip(model.coefficients, expected_zero, strict=True) if is_expected}
@@ -191,11 +198,13 @@ class _Solved:
 
 @dataclass(frozen=True, eq=False)
 class _Fits:
-    """Fits of some parameters of the ``whole`` problem. Of all rows, an ``independent`` fraction counts."""
+    """Fits of some parameters of the ``whole`` problem. Of all rows, an ``independent`` fraction counts. For
+    ``masses_held`` see :class:`Problem`."""
 
     settings: EstimatorSettings
     whole: Problem
     independent: float
+    masses_held: BoolArray | None = None
 
     def choice(self, problem: Problem, start: IntArray | None) -> Choice:
         """Choose the parameters of a problem, see :func:`choose`."""
@@ -217,7 +226,8 @@ class _Fits:
         """Fit some columns: from a ``start``, or also from an ``alternative`` one. A coupled prior's ``weights`` and
         ``masses`` may be known."""
         whole = self.whole if masses is None else self.whole.with_known_rows(masses)
-        problem = replace(subproblem(whole, columns), independent_fraction=self.independent)
+        part = subproblem(whole, columns)
+        problem = replace(part, independent_fraction=self.independent, masses_held=self.masses_held)
         prior = _coupled_prior(self.settings, problem)
         problem = problem if prior is None else prior.problem
         solve: Callable[..., Fit] = partial(fit, tolerance=self.settings.tolerance, max_steps=self.settings.max_steps)
@@ -230,6 +240,15 @@ class _Fits:
             return _Solved(columns, minimum(solve(problem)))
         found, weights = fit_with_coupled_prior(prior, solve, weights)
         return _Solved(columns, minimum(found), weights, tuple(prior.release_warnings(weights)))
+
+
+def _uncontradicted_masses(found: Estimate, problem: Problem) -> BoolArray:
+    """True for links ``(links,)`` that left their prior, though their mass in the prior is within its interval."""
+    masses = problem.prior_inertias[::SIZE]
+    is_within = [
+        abs(link.mass - mass) < STDS_OF_95 * link.std_mass for link, mass in zip(found.links, masses, strict=True)
+    ]
+    return np.array(is_within) & [link.outlier for link in found.links]
 
 
 def _significant(solve: Callable[[IntArray], _Solved], columns: IntArray, may_go: Collection[Mechanism]) -> _Solved:

@@ -136,6 +136,9 @@ class Fit:
             2.0 * problem.independent_fraction * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
         )
         widths = float(np.sum(np.log(problem.independent_fraction * self.objective.prior_weights)))
+        if problem.masses_held is not None:
+            wider = np.maximum(self.prior_stds / problem.default_stds, 1.0)
+            widths += 2.0 * float(np.sum(np.log(wider[problem.masses_held])))
         return likelihood + volume - widths + prior_std_cost(self.prior_stds, problem.default_stds)
 
 
@@ -178,7 +181,8 @@ def fit(
     # Near its fixed point the iteration is linear: it can be extrapolated, and one solver step per round is enough.
     extrapolation, steps = None, 0
     for _ in range(ROUNDS):
-        objective = _objective(problem, sigmas, prior_stds)
+        with_masses = problem.with_masses_at(point, prior_stds)
+        objective = _objective(with_masses, sigmas, prior_stds)
         most, least = (max_steps, LEAST_DECREASE) if extrapolation is None else (1, 0.0)
         gradient = _gradient(objective, tolerance)
         solution = trust_region(objective, point, gradient, most, least_decrease=least)
@@ -188,7 +192,7 @@ def fit(
         if problem.gamma is None:
             prior_stds = _spreads(problem, objective, solution)
         found = Fit(
-            problem=problem,
+            problem=with_masses,
             search_point=point,
             sigmas=sigmas,
             prior_stds=prior_stds,
