@@ -155,17 +155,17 @@ def estimate(
     # Repeats of a motion count when effects are chosen; for the uncertainty of the parameters they hardly do.
     independent = whole.independent_fraction * subproblem(whole, required_columns(model)).distinct
     fits = _Fits(settings, whole, independent)
+    start = None if warm is None or warm.effects_alone else warm
     kept = None if warm is None else _kept_columns(model, warm)
-    if warm is not None and kept is not None and not warm.effects_alone:
-        found = fits.solved(kept, start=warm)
+    if start is not None and kept is not None:
+        found = fits.solved(kept, start=start)
     else:
         choice = fits.choice(whole, kept)
         found = _significant(partial(fits.solved, alternative=choice), choice.columns, _optional(model))
     result = _estimate(found, whole)
-    held = _uncontradicted_masses(result, whole)
-    if np.any(held):
+    if held := tuple(_uncontradicted_masses(result, whole)):
         fits = replace(fits, masses_held=held)
-        found = _significant(fits.solved, found.columns, _optional(model))
+        found = fits.solved(found.columns, start=start)
         result = _estimate(found, whole)
     first = model.dimension - len(model.coefficients)
     expected_zero = [c.effect.is_sensor_error or bool(c.effect.default_prior_std) for c in model.coefficients]
@@ -204,7 +204,7 @@ class _Fits:
     settings: EstimatorSettings
     whole: Problem
     independent: float
-    masses_held: BoolArray | None = None
+    masses_held: tuple[int, ...] = ()
 
     def choice(self, problem: Problem, start: IntArray | None) -> Choice:
         """Choose the parameters of a problem, see :func:`choose`."""
@@ -242,13 +242,11 @@ class _Fits:
         return _Solved(columns, minimum(found), weights, tuple(prior.release_warnings(weights)))
 
 
-def _uncontradicted_masses(found: Estimate, problem: Problem) -> BoolArray:
-    """True for links ``(links,)`` that left their prior, though their mass in the prior is within its interval."""
-    masses = problem.prior_inertias[::SIZE]
-    is_within = [
-        abs(link.mass - mass) < STDS_OF_95 * link.std_mass for link, mass in zip(found.links, masses, strict=True)
-    ]
-    return np.array(is_within) & [link.outlier for link in found.links]
+def _uncontradicted_masses(found: Estimate, problem: Problem) -> Iterator[int]:
+    """Yield each link that left its prior, though the interval of its mass contains that of the prior."""
+    for index, (link, mass) in enumerate(zip(found.links, problem.prior_inertias[::SIZE], strict=True)):
+        if link.outlier and abs(link.mass - mass) < STDS_OF_95 * link.std_mass:
+            yield index
 
 
 def _significant(solve: Callable[[IntArray], _Solved], columns: IntArray, may_go: Collection[Mechanism]) -> _Solved:
@@ -458,7 +456,7 @@ def _estimate(found: _Solved, whole: Problem) -> Estimate:
         rows_accepted=summary.rows,
         rows_set_aside=minimum.set_aside,
         links=estimate_parts.links(
-            problem, point, link_errors, _outliers(fitted), _stds_of_far_links(problem, point, information, link_errors)
+            problem, point, link_errors, _outliers(fitted), _stds_of_far_links(fitted, point, information, link_errors)
         ),
         effects=(*estimate_parts.effects(problem, point, effect_errors), *gains.effects(model)),
         parameters=frozen(parameters),
@@ -514,15 +512,19 @@ def _outliers(fitted: Fit) -> BoolArray:
 
 
 def _stds_of_far_links(
-    problem: Problem, point: Point, information: LinksInformation, errors: uncertainty.Uncertainty
+    fitted: Fit, point: Point, information: LinksInformation, errors: uncertainty.Uncertainty
 ) -> FloatArray:
-    """Standard deviations ``(links, 13)`` of the numbers of links whose prior's errors may be large; zero of others."""
+    """Standard deviations ``(links, 13)`` of the numbers of links whose prior's errors may be large; zero of others.
+    That a mass was held is no reason to be sure of it."""
+    problem = fitted.problem
     links = problem.manifold.inertial
-    is_far = errors.prior_stds[links][::10] > _FAR * problem.default_stds
+    prior_stds = errors.prior_stds[links].reshape(-1, SIZE).copy()
+    prior_stds[list(problem.masses_held)] = fitted.prior_stds[list(problem.masses_held), None]
+    is_far = prior_stds[:, 0] > _FAR * problem.default_stds
     if not np.any(is_far):
         return np.zeros((len(is_far), 1))
     prior, estimated = (Point(p.pseudo_inertias, np.zeros(0), np.zeros(0)) for p in (problem.prior_point, point))
-    stds = uncertainty.stds_along_geodesics(prior, estimated, information, errors.prior_stds[links])
+    stds = uncertainty.stds_along_geodesics(prior, estimated, information, prior_stds.ravel())
     return np.where(is_far[:, None], stds, 0.0)
 
 

@@ -24,7 +24,7 @@ from geomid_ros.geometry.spd import SIZE
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedRows
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import FloatArray, IntArray
 
 # Cached properties of a problem that do not depend on its known rows.
 _OF_ROWS = (
@@ -47,7 +47,7 @@ class Problem:
         independent_fraction: fraction of the rows that counts as independent: the filter correlates rows, and motions
             repeat.
         given_stds: default prior std of the links ``(links,)``, if not that of CAD files.
-        masses_held: True for links ``(links,)`` that leave their prior without their mass; None if there is none.
+        masses_held: indices of the links that may leave their prior, but not with their mass.
     """
 
     model: MeasurementModel
@@ -58,7 +58,7 @@ class Problem:
     gamma: float | None
     independent_fraction: float
     given_stds: FloatArray | None = None
-    masses_held: BoolArray | None = None
+    masses_held: tuple[int, ...] = ()
 
     def with_known_rows(self, known: WeighedRows) -> Problem:
         """Return the problem with more known rows. Properties that do not depend on these are shared by both."""
@@ -69,11 +69,10 @@ class Problem:
     def with_masses_at(self, point: Point, prior_stds: FloatArray) -> Problem:
         """Return the problem with rows that keep the prior std of each mass that is held at its default where that of
         the link, ``prior_stds (links,)``, is larger. The logarithm of the mass is linearised at a ``point``."""
-        if self.masses_held is None:
+        if not self.masses_held:
             return self
-        kept = np.sqrt(np.maximum(self.default_stds**-2.0 - prior_stds**-2.0, 0.0))
-        links = np.flatnonzero(self.masses_held)
-        columns, kept = SIZE * links, kept[links]
+        links = np.array(self.masses_held)
+        columns, kept = SIZE * links, np.sqrt(np.maximum(self.default_stds**-2.0 - prior_stds**-2.0, 0.0))[links]
         masses, rows = point.parameters[columns], np.zeros((len(links), self.manifold.dimension))
         rows[np.arange(len(links)), columns] = kept / masses
         off = np.log(masses / self.prior_inertias[columns])
