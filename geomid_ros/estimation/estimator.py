@@ -156,13 +156,13 @@ def estimate(
     independent = whole.independent_fraction * subproblem(whole, required_columns(model)).distinct
     fits = _Fits(settings, whole, independent)
     start = None if warm is None or warm.effects_alone else warm
-    kept = None if warm is None else _kept_columns(model, warm)
-    if start is not None and kept is not None:
-        found = fits.solved(kept, start=start)
-    else:
-        choice = fits.choice(whole, kept)
+    if start is None:
+        choice = fits.choice(whole, None if warm is None else _kept_columns(model, warm))
         found = _significant(partial(fits.solved, alternative=choice), choice.columns, _optional(model))
+    else:
+        found = fits.solved(_kept_columns(model, start), start=start)
     result = _estimate(found, whole)
+    # A link that left its prior may have become heavy only to move its centre of mass.
     if held := tuple(_uncontradicted_masses(result, whole)):
         fits = replace(fits, masses_held=held)
         found = fits.solved(found.columns, start=start)
