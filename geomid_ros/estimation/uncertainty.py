@@ -381,7 +381,10 @@ def stds_along_geodesics(
     """
     size = len(prior_stds)
     manifold = ParameterManifold(size // spd.SIZE, 0, np.zeros(0))
-    rows, targets = information.rows, information.rows @ point.parameters - information.residuals
+    # Triangular factors of nearly the same rows may differ; symmetric ones do not, and nor do the errors of their rows.
+    left, sizes, right = np.linalg.svd(information.rows)
+    rows = (right.T * sizes) @ right
+    targets = rows @ point.parameters - right.T @ (left.T @ information.residuals)
     estimated = quantities_and_moments(pseudo_inertia.to_parameters(point.pseudo_inertias))
     errors = np.random.default_rng(0).standard_normal((_PAIRS, 2, size))
     off = []
