@@ -162,10 +162,11 @@ def estimate(
     else:
         found = fits.solved(_kept_columns(model, start), start=start)
     result = _estimate(found, whole)
-    # A link that left its prior may have become heavy only to move its centre of mass.
-    if held := tuple(_uncontradicted_masses(result, whole)):
-        fits = replace(fits, masses_held=held)
-        found = fits.solved(found.columns, start=start)
+    # A link that left its prior may have become heavy only to move its centre of mass; held, its neighbour may.
+    while new := dict(_uncontradicted_masses(result, found.minimum.fitted.problem)):
+        fits = replace(fits, masses_held={**new, **fits.masses_held})
+        end = Choice(found.columns, result.parameters, result.prior_stds)
+        found = fits.solved(found.columns, alternative=end)
         result = _estimate(found, whole)
     first = model.dimension - len(model.coefficients)
     expected_zero = [c.effect.is_sensor_error or bool(c.effect.default_prior_std) for c in model.coefficients]
@@ -204,7 +205,7 @@ class _Fits:
     settings: EstimatorSettings
     whole: Problem
     independent: float
-    masses_held: tuple[int, ...] = ()
+    masses_held: Mapping[int, float] = field(default_factory=dict)
 
     def choice(self, problem: Problem, start: IntArray | None) -> Choice:
         """Choose the parameters of a problem, see :func:`choose`."""
@@ -242,11 +243,12 @@ class _Fits:
         return _Solved(columns, minimum(found), weights, tuple(prior.release_warnings(weights)))
 
 
-def _uncontradicted_masses(found: Estimate, problem: Problem) -> Iterator[int]:
-    """Yield each link that left its prior, though the interval of its mass contains that of the prior."""
+def _uncontradicted_masses(found: Estimate, problem: Problem) -> Iterator[tuple[int, float]]:
+    """Yield each link that left its prior, though the interval of its mass contains that of the prior, with its prior
+    std; not those whose mass the problem holds."""
     for index, (link, mass) in enumerate(zip(found.links, problem.prior_inertias[::SIZE], strict=True)):
-        if link.outlier and abs(link.mass - mass) < STDS_OF_95 * link.std_mass:
-            yield index
+        if link.outlier and index not in problem.masses_held and abs(link.mass - mass) < STDS_OF_95 * link.std_mass:
+            yield index, float(found.prior_stds[index])
 
 
 def _significant(solve: Callable[[IntArray], _Solved], columns: IntArray, may_go: Collection[Mechanism]) -> _Solved:
@@ -515,11 +517,12 @@ def _stds_of_far_links(
     fitted: Fit, point: Point, information: LinksInformation, errors: uncertainty.Uncertainty
 ) -> FloatArray:
     """Standard deviations ``(links, 13)`` of the numbers of links whose prior's errors may be large; zero of others.
-    That a mass was held is no reason to be sure of it."""
+    That a mass was held is no reason to be surer of the link than before."""
     problem = fitted.problem
     links = problem.manifold.inertial
     prior_stds = errors.prior_stds[links].reshape(-1, SIZE).copy()
-    prior_stds[list(problem.masses_held)] = fitted.prior_stds[list(problem.masses_held), None]
+    for index, std in problem.masses_held.items():
+        prior_stds[index] = max(std, fitted.prior_stds[index])
     is_far = prior_stds[:, 0] > _FAR * problem.default_stds
     if not np.any(is_far):
         return np.zeros((len(is_far), 1))

@@ -136,7 +136,7 @@ class Fit:
             2.0 * problem.independent_fraction * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
         )
         widths = float(np.sum(np.log(problem.independent_fraction * self.objective.prior_weights)))
-        wider = np.maximum(self.prior_stds / problem.default_stds, 1.0)[list(problem.masses_held)]
+        wider = np.maximum(self.prior_stds / problem.default_stds, 1.0)[[*problem.masses_held]]
         widths += 2.0 * float(np.sum(np.log(wider)))
         return likelihood + volume - widths + prior_std_cost(self.prior_stds, problem.default_stds)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -47,7 +48,8 @@ class Problem:
         independent_fraction: fraction of the rows that counts as independent: the filter correlates rows, and motions
             repeat.
         given_stds: default prior std of the links ``(links,)``, if not that of CAD files.
-        masses_held: indices of the links that may leave their prior, but not with their mass.
+        masses_held: indices of the links that may leave their prior, but not with their mass, with the prior std of
+            the link when its mass left, too.
     """
 
     model: MeasurementModel
@@ -58,7 +60,7 @@ class Problem:
     gamma: float | None
     independent_fraction: float
     given_stds: FloatArray | None = None
-    masses_held: tuple[int, ...] = ()
+    masses_held: Mapping[int, float] = field(default_factory=dict)
 
     def with_known_rows(self, known: WeighedRows) -> Problem:
         """Return the problem with more known rows. Properties that do not depend on these are shared by both."""
@@ -71,7 +73,7 @@ class Problem:
         the link, ``prior_stds (links,)``, is larger. The logarithm of the mass is linearised at a ``point``."""
         if not self.masses_held:
             return self
-        links = np.array(self.masses_held)
+        links = np.array([*self.masses_held])
         columns, kept = SIZE * links, np.sqrt(np.maximum(self.default_stds**-2.0 - prior_stds**-2.0, 0.0))[links]
         masses, rows = point.parameters[columns], np.zeros((len(links), self.manifold.dimension))
         rows[np.arange(len(links)), columns] = kept / masses
