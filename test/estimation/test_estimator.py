@@ -179,7 +179,7 @@ def test_intervals_of_masses_hold_the_truth_where_the_urdf_has_placeholders() ->
         assert abs(np.log(mass / link.mass)) < 4.0 * link.std_mass / link.mass
 
 
-@pytest.mark.parametrize(("seed", "factor", "cogging"), [(3, 1.0, 1.0), (43, 6.0, 0.0)])
+@pytest.mark.parametrize(("seed", "factor", "cogging"), [(3, 1.0, 1.0), (1, 6.0, 0.0)])
 def test_a_mass_that_nothing_contradicts_is_near_the_urdf_and_no_surer_for_that(
     seed: int, factor: float, cogging: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -251,6 +251,8 @@ def test_of_two_minima_the_more_likely_is_taken(monkeypatch: pytest.MonkeyPatch)
         assert abs(cold.score - warm.score) > 5.0
     *_, last = taken
     held = [*last.problem.masses_held]
+    assert len(pairs) > len(free) + 1, "without some masses, others are driven away"
+    assert all(std > 2.0 * DEFAULT_PRIOR_STD for std in last.problem.masses_held.values())
     before = taken[len(free) - 1]
     off = [np.log(found.point.parameters[10 * np.array(held)] / links[held, 0]) for found in (last, before)]
     assert np.linalg.norm(off[0]) < 0.8 * np.linalg.norm(off[1])
