@@ -163,7 +163,7 @@ def estimate(
         found = fits.solved(_kept_columns(model, start), start=start)
     result = _estimate(found, whole)
     # A link that left its prior may have become heavy only to move its centre of mass; held, its neighbour may.
-    while new := dict(_uncontradicted_masses(result, found.minimum.fitted.problem)):
+    while new := dict(_uncontradicted_masses(result, found.minimum.fitted)):
         fits = replace(fits, masses_held={**new, **fits.masses_held})
         end = Choice(found.columns, result.parameters, result.prior_stds)
         found = fits.solved(found.columns, alternative=end)
@@ -243,11 +243,13 @@ class _Fits:
         return _Solved(columns, minimum(found), weights, tuple(prior.release_warnings(weights)))
 
 
-def _uncontradicted_masses(found: Estimate, problem: Problem) -> Iterator[tuple[int, float]]:
+def _uncontradicted_masses(found: Estimate, fitted: Fit) -> Iterator[tuple[int, float]]:
     """Yield each link that left its prior, though the interval of its mass contains that of the prior, with its prior
-    std; not those whose mass the problem holds."""
+    std; not those whose mass is held, and none of a fit that did not settle."""
+    problem = fitted.problem
     for index, (link, mass) in enumerate(zip(found.links, problem.prior_inertias[::SIZE], strict=True)):
-        if link.outlier and index not in problem.masses_held and abs(link.mass - mass) < STDS_OF_95 * link.std_mass:
+        is_free = link.outlier and index not in problem.masses_held and not fitted.budget_exhausted
+        if is_free and abs(link.mass - mass) < STDS_OF_95 * link.std_mass:
             yield index, float(found.prior_stds[index])
 
 
