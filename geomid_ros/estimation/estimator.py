@@ -164,7 +164,7 @@ def estimate(
     result = _estimate(found, whole)
     # A link that left its prior may have become heavy only to move its centre of mass; held, its neighbour may.
     while new := dict(_uncontradicted_masses(result, found.minimum.fitted)):
-        fits = replace(fits, masses_held={**new, **fits.masses_held})
+        fits = replace(fits, whole=replace(whole, masses_held={**new, **fits.whole.masses_held}))
         end = Choice(found.columns, result.parameters, result.prior_stds)
         found = fits.solved(found.columns, alternative=end)
         result = _estimate(found, whole)
@@ -199,13 +199,11 @@ class _Solved:
 
 @dataclass(frozen=True, eq=False)
 class _Fits:
-    """Fits of some parameters of the ``whole`` problem. Of all rows, an ``independent`` fraction counts. For
-    ``masses_held`` see :class:`Problem`."""
+    """Fits of some parameters of the ``whole`` problem. Of all rows, an ``independent`` fraction counts."""
 
     settings: EstimatorSettings
     whole: Problem
     independent: float
-    masses_held: Mapping[int, float] = field(default_factory=dict)
 
     def choice(self, problem: Problem, start: IntArray | None) -> Choice:
         """Choose the parameters of a problem, see :func:`choose`."""
@@ -227,8 +225,7 @@ class _Fits:
         """Fit some columns: from a ``start``, or also from an ``alternative`` one. A coupled prior's ``weights`` and
         ``masses`` may be known."""
         whole = self.whole if masses is None else self.whole.with_known_rows(masses)
-        part = subproblem(whole, columns)
-        problem = replace(part, independent_fraction=self.independent, masses_held=self.masses_held)
+        problem = replace(subproblem(whole, columns), independent_fraction=self.independent)
         prior = _coupled_prior(self.settings, problem)
         problem = problem if prior is None else prior.problem
         solve: Callable[..., Fit] = partial(fit, tolerance=self.settings.tolerance, max_steps=self.settings.max_steps)
