@@ -29,7 +29,6 @@ UNITS = ("kg", *("m", "m", "m"), *("kg m^2", "kg m^2", "kg m^2"), *("kg m^2", "k
 """Units of the :data:`QUANTITIES`."""
 STDS_OF_95 = 1.96
 """Half-width of a 95 % interval in standard deviations."""
-_LARGEST_LOG = 50.0  # of an interval's factor: a wider one means that nothing is known
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -98,7 +97,7 @@ class UncertainInertia:
 
 def interval_of_positive(value: float, deviation: float) -> tuple[float, float]:
     """95 % interval of a positive quantity along the geodesic: of its logarithm, so that it stays positive."""
-    factor = float(np.exp(min(STDS_OF_95 * deviation / value, _LARGEST_LOG))) if np.isfinite(deviation) else 1.0
+    factor = float(np.exp(min(STDS_OF_95 * deviation / value, np.log(FINEST)))) if np.isfinite(deviation) else 1.0
     return value / factor, value * factor
 
 

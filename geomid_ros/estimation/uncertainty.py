@@ -19,7 +19,6 @@ from geomid_ros.model.dynamics import STEP
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
-_LARGEST_STD_RATIO = 100.0  # times the default: a wider prior contains no information, and rounding dominates
 _ROUNDS = 10  # of the fixed point; a fixed number, so that rounding cannot change it
 _FOLDS_OF_BLOCKS = (1, 2, 4)
 """Block lengths, in folds; the largest inflation counts, because correlations longer than a block are hidden in it."""
@@ -311,7 +310,7 @@ def estimated_prior_stds(rows: Fold, from_prior: FloatArray, groups: Sequence[Pa
         squares = np.bincount(member, moved**2, len(groups)) + usual**2
         counts = np.bincount(member, determined, len(groups)) + 1.0
         # A few rows of many parameters can be fitted at any distance from the prior.
-        stds = np.minimum(np.sqrt(squares / counts), _LARGEST_STD_RATIO * usual)
+        stds = np.minimum(np.sqrt(squares / counts), FINEST * usual)
         log_stds = extrapolation.next(log_stds, np.log(stds))
     return np.asarray(stds[member])
 
