@@ -13,11 +13,11 @@ from geomid_ros.gap.candidates import (
     CLEARLY,
     ODDS,
     Candidate,
+    EffectsByPlace,
     EffectsFit,
     EffectsPrior,
     EffectsSearch,
     EffectsSupports,
-    Shapes,
 )
 from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.gap.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
@@ -44,8 +44,8 @@ _WHITENINGS = 4  # rounds that whiten by the noise of the last remainder
 class Analysis:
     """Result of the search: the last ``problem`` and ``search``; the fit with the named ``effects`` and the one without
     (``inertias_only``); the evidence that ``supports`` each likely name; each channel's noise std, ``floor (C,)``, from
-    repeats of a motion if any; ``shapes`` of effects, as given; ``contested``: the odds that a link other than the
-    named one has changed."""
+    repeats of a motion if any; ``ordinary`` effects, as given; ``contested``: the odds that a link other than the named
+    one has changed."""
 
     problem: LinearisedProblem
     search: EffectsSearch
@@ -53,7 +53,7 @@ class Analysis:
     effects: EffectsFit
     supports: dict[Candidate, Support[Candidate]]
     floor: FloatArray
-    shapes: Shapes = field(default_factory=dict)
+    ordinary: EffectsByPlace = field(default_factory=dict)
     contested: float = 0.0
 
     def usual_load(self, candidate: Candidate) -> float:
@@ -69,8 +69,8 @@ class Analysis:
 @dataclass(frozen=True, eq=False)
 class _Task:
     """Input of the search: ``model``, ``records``, the candidates to be ``tried``, ``links`` that may have changed, the
-    ``known_remainder``, known ``shapes`` and a ``progress`` callback. The ``inner`` links of a URDF may be wrong as
-    well as loaded."""
+    ``known_remainder``, the ``ordinary`` effects and a ``progress`` callback. The ``inner`` links of a URDF may be
+    wrong as well as loaded."""
 
     model: MeasurementModel
     records: Records
@@ -78,7 +78,7 @@ class _Task:
     links: Sequence[int]
     inner: Collection[int]
     known_remainder: KnownRemainder | None
-    shapes: Shapes
+    ordinary: EffectsByPlace
     progress: Progress
 
     def terms(self, prior: EffectsPrior) -> list[library.EffectTerm]:
@@ -96,17 +96,17 @@ def analyse(
     prior: EffectsPrior,
     progress: Progress,
     known_remainder: KnownRemainder | None = None,
-    shapes: Shapes = MappingProxyType({}),
+    ordinary: EffectsByPlace = MappingProxyType({}),
 ) -> Analysis:
-    """Find the set of named effects that explains the records best, and the changed links given these. Effects of known
-    ``shapes`` have these.
+    """Find the set of named effects that explains the records best, and the changed links given these. Default effects
+    among the ``ordinary`` ones have their constants.
 
     A payload hangs at the end of a limb, or lies on a moving base. A mass gained by another link of an identified model
     is reported as a changed link: a payload on the axis of a last joint would else fit the link before as well. On
     another link of a URDF it may as well be an error of the URDF.
     """
     candidates = _identifiable(
-        library.candidates(model, prior.terms, unknown_joints=not prior.identified, shapes=shapes), records.moving
+        library.candidates(model, prior.terms, unknown_joints=not prior.identified, ordinary=ordinary), records.moving
     )
     links = [c.payload for c in candidates if c.payload is not None]
     inner = {c.payload for c in candidates if c.payload is not None and c.joint is not None} - _ends(model, links)
@@ -116,7 +116,7 @@ def analyse(
         *(model, records, candidates, links),
         inner=inner,
         known_remainder=known_remainder,
-        shapes=shapes,
+        ordinary=ordinary,
         progress=progress,
     )
     last, contested = _with_changed_link(task, _searched(task, prior, "searching"))
@@ -208,7 +208,7 @@ def _judged(task: _Task, last: _Round, contested: float) -> Analysis:
         effects=supports.found,
         supports=_evidence(supports, task.inner),
         floor=noise_floor(task.model, task.records, noise),
-        shapes=task.shapes,
+        ordinary=task.ordinary,
         contested=contested,
     )
 

@@ -16,11 +16,13 @@ from geomid_ros.inference.fit import JointFit
 from geomid_ros.inference.prior import GAIN, Prior
 from geomid_ros.inference.probability import Supports
 from geomid_ros.inference.selection import Selection
+from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import (
     DEFAULT_EFFECTS,
     EFFECTS,
     AtSensor,
     Effect,
+    IdentifiedEffect,
     LoadEffect,
     MotionEffect,
     OnLink,
@@ -45,8 +47,8 @@ _EXACT = 1e-5  # standard deviation of a sum fixed at zero, relative to the fric
 _OF_COUPLED = 0.05  # fraction of the odds, for coupled joints: most joints have separate motors
 
 
-Shapes: TypeAlias = Mapping[tuple[str, Place], Effect]
-"""Effects whose constants are known, by name and place."""
+EffectsByPlace: TypeAlias = Mapping[tuple[str, Place], IdentifiedEffect]
+"""Effects with their constants, by name and place."""
 
 
 def library_columns(model: MeasurementModel) -> tuple[Column, ...]:
@@ -69,6 +71,11 @@ class EffectTerm:
     effect: Effect
     place: Place
     index: int = 0
+
+    @staticmethod
+    def of(coefficient: Coefficient) -> EffectTerm:
+        """Create the term of a model's coefficient."""
+        return EffectTerm(coefficient.effect, coefficient.place, coefficient.index)
 
     def __hash__(self) -> int:
         return self._hash
@@ -194,11 +201,11 @@ def candidates(
     known: Collection[EffectTerm] = (),
     *,
     unknown_joints: bool = True,
-    shapes: Shapes = MappingProxyType({}),
+    ordinary: EffectsByPlace = MappingProxyType({}),
 ) -> list[Candidate]:
     """Return all candidates for a robot with its sensors, and the changes of ``known`` effects, which keep their
-    constants, as do those of known ``shapes``. ``unknown_joints``: True if nothing is known of its joints, so that
-    they may well have default effects.
+    constants, as do default effects among the ``ordinary`` ones. ``unknown_joints``: True if nothing is known of its
+    joints, so that they may well have default effects.
     The ground loads the joints of a legged robot, too: effects that depend on more than the load are omitted there."""
     has = {(term.effect.name, term.place) for term in known}
     changes = [
@@ -210,7 +217,8 @@ def candidates(
         for cls in EFFECTS.values()
         for effect in cls.grid()
         for place in model.places.of(effect)
-        if effect.has_columns and (effect.name, place) not in has and shapes.get((effect.name, place), effect) == effect
+        if effect.has_columns and (effect.name, place) not in has
+        if effect.name not in DEFAULT_EFFECTS or ordinary.get((effect.name, place), effect) == effect
     ]
     if model.legs:
         result = [c for c in result if isinstance(c.effect, LoadEffect) or not isinstance(c.effect, SituationEffect)]

@@ -5,8 +5,12 @@ Friction that neither a URDF nor an MJCF can represent is approximated there by 
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,14 +27,23 @@ from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.inference.probability import probability_of_square
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, KnownEffect, MotionEffect, ParameterForm, Quantity
+from geomid_ros.model.coefficients import Coefficient
+from geomid_ros.model.effects import (
+    DEFAULT_EFFECTS,
+    KnownEffect,
+    MotionEffect,
+    ParameterForm,
+    Quantity,
+    identified_effect,
+)
 from geomid_ros.model.effects.effect import LoadEffect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
 _REFITS = 2  # the second linearised at the result of the first
 _UNCHANGED = 1e-3  # of its uncertainty: so little may a fixed parameter move
-_ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFECTS)
+_DEFAULT = tuple(map(identified_effect, DEFAULT_EFFECTS))
+_Ordinary: TypeAlias = tuple[Coefficient, ...]  # of one effect at one place
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +70,14 @@ def confirmed_changes(
 
     During the search, all that the model has may drift a little, and unsure named effects absorb what they can. In a
     file, both would be unreported changes. So effects of the given model, and the links of an identified one, are as
-    given unless a sure finding contradicts. A URDF has no friction: starting from it, joints have that of other robots,
-    as ``identify`` finds it.
+    given unless a sure finding contradicts. A URDF has no friction: starting from it, joints have the default effects
+    and all that ``identify`` finds, which predict better, though no cause of the gap may be sure.
     """
     changed = [model.body_names.index(link.link) for link in links if link.confidence == "confident"]
     sure = [candidate for candidate, finding in findings if finding.confidence == "confident"]
     refit = _Refit(model, records, analysis, changed)
-    refitted = refit.found(sure)
-    whole = refit.found([candidate for candidate, _ in findings]) if len(sure) < len(findings) else refitted
+    refitted, ordinary = refit.found(sure)
+    whole = refit.found([candidate for candidate, _ in findings])[0] if len(sure) < len(findings) else refitted
     sized = list(_findings_as_written(model, analysis, refitted, whole, findings))
     pairs = zip(findings, sized, strict=True)
     kept = [(c, before if before.confidence == after.confidence else after) for (c, before), after in pairs]
@@ -74,13 +87,12 @@ def confirmed_changes(
     if (kept, kept_links) != (list(findings), list(links)):
         # A change that is no longer sure must not be in the file, and it affects all other sizes.
         return confirmed_changes(model, records, analysis, kept, kept_links)
-    ordinary = [c for c in refitted.chosen if c not in sure]
     return ConfirmedChanges(
         refitted,
         np.where(refit.held[:, None], analysis.search.prior.inertias.reshape(-1, 10), refitted.inertias),
         tuple(finding for finding in sized if finding.is_likely),
         tuple(link for link in sized_links if link.probability >= LIKELY),
-        tuple(_known(model, refitted, candidate) for candidate in ordinary),
+        tuple(_known(refitted, coefficients) for coefficients in ordinary),
     )
 
 
@@ -99,23 +111,26 @@ class _Refit:
         links = len(self.analysis.effects.prior_stds)
         return np.isin(np.arange(links), list(self.changed), invert=True) & self.analysis.search.prior.identified
 
-    def found(self, sure: Sequence[Candidate]) -> EffectsFit:
+    def found(self, sure: Sequence[Candidate]) -> tuple[EffectsFit, list[_Ordinary]]:
         """Fit the ``sure`` effects and significant ordinary effects, without those out of range, on the rows alone, as
-        a file predicts from its parameters alone."""
+        a file predicts from its parameters alone. Return the fit, and its ordinary effects."""
         named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.effects
         total = self._without_uncertain(sure)
         for _ in range(_REFITS):
             problem = LinearisedProblem(self.model, self.records, total, self.analysis.floor)
-            chosen = (term for candidate in (*named, *ordinary) for term in candidate.terms)
-            columns = problem.columns([*self.analysis.search.prior.terms, *chosen])
+            chosen = (term for candidate in named for term in candidate.terms)
+            columns = problem.columns([*self.analysis.search.prior.terms, *chosen, *chain(*map(_terms, ordinary))])
             design = problem.design_alone(columns)
             while True:
                 found = self._fit(problem, design, named, ordinary, found)
-                if (dropped := self._to_drop(found, ordinary)) is None:
+                if unclear := [each for each in ordinary if _evidence(found, each) < CLEARLY]:
+                    ordinary.remove(min(unclear, key=partial(_evidence, found)))
+                elif out_of_range := [c for c in named if self.analysis.search.is_out_of_range(found, c)]:
+                    named.remove(out_of_range[0])
+                else:
                     break
-                named, ordinary = ([c for c in group if c is not dropped] for group in (named, ordinary))
             total = total_model(self.model, found)
-        return found
+        return found, ordinary
 
     def _without_uncertain(self, sure: Sequence[Candidate]) -> TotalModel:
         """Total model without unsure effects: columns linearised at a delay that does not exist are wrong."""
@@ -124,40 +139,35 @@ class _Refit:
         places = {(term.effect, term.place) for term in kept}
         return replace(total, effects=tuple(item for item in total.effects if item[:2] in places))
 
-    def _to_drop(self, joint_fit: EffectsFit, ordinary: Collection[Candidate]) -> Candidate | None:
-        """Return an effect out of range, else the least significant ordinary effect if it may be nothing, else None."""
-        out_of_range = [c for c in joint_fit.chosen if self.analysis.search.is_out_of_range(joint_fit, c)]
-        if out_of_range or not ordinary:
-            return min(out_of_range, key=lambda c: c not in ordinary, default=None)
-        least = min(ordinary, key=lambda c: _evidence(joint_fit, c))
-        return least if _evidence(joint_fit, least) < CLEARLY else None
-
-    def _ordinary_beside(self, sure: Sequence[Candidate]) -> list[Candidate]:
-        """Ordinary effects of all joints and sensors, if nothing is known of them."""
+    def _ordinary_beside(self, sure: Sequence[Candidate]) -> list[_Ordinary]:
+        """Default effects of all joints and sensors, and all that ``identify`` finds, if nothing is known of them."""
         if self.analysis.search.prior.identified or self.analysis.search.prior.terms:
             return []
-        pairs = [(effect, place) for effect in _ORDINARY for place in self.model.places.of(effect)]
-        shapes = self.analysis.shapes
-        ordinary = [Candidate.of(shapes.get((effect.name, place), effect), place) for effect, place in pairs]
-        return [c for c in ordinary if not any(c.excludes(other) for other in sure)]
+        places = self.model.places
+        default = {(effect.name, place): effect for effect in _DEFAULT for place in places.of(effect)}
+        return [
+            tuple(places.coefficients_at(effect, place))
+            for (_, place), effect in (dict(self.analysis.ordinary) or default).items()
+            if not any(Candidate.of(effect, place).excludes(other) for other in sure)
+        ]
 
     def _fit(
         self,
         problem: LinearisedProblem,
         design: Design,
         named: Sequence[Candidate],
-        ordinary: Sequence[Candidate],
+        ordinary: Sequence[_Ordinary],
         start: EffectsFit,
     ) -> EffectsFit:
-        names, prior_stds = self.analysis.effects, self.analysis.search.prior.link_prior_stds
+        names = self.analysis.effects
         prior = _with_ordinary(_as_given(self.analysis.search.prior, named), problem, named, ordinary)
         if not self.analysis.search.prior.identified:
-            result = scattered(design, fit(design, prior, named, start, prior_stds))
-            return replace(result, chosen=(*named, *ordinary))
+            return scattered(design, fit(design, prior, named, start))
         held = self.held
         tight = np.where(held, _UNCHANGED * prior.prior_std, names.prior_stds)
         result = scattered(design, fit(design, with_given_stds(prior, names.inflation), named, start, tight))
-        free = fit(design, with_given_stds(prior, 1.0), named, result, np.where(held, prior_stds, names.prior_stds))
+        default_stds = self.analysis.search.prior.link_prior_stds
+        free = fit(design, with_given_stds(prior, 1.0), named, result, np.where(held, default_stds, names.prior_stds))
         return _as_uncertain(result, free)
 
 
@@ -172,19 +182,26 @@ def _as_uncertain(joint_fit: EffectsFit, free: EffectsFit) -> EffectsFit:
     return replace(joint_fit, packed=Packed.of(information / np.outer(factors, factors)))
 
 
-def _evidence(joint_fit: EffectsFit, candidate: Candidate) -> float:
-    """Second-order loss of score without it: its squared deviation from zero in standard deviations."""
-    values = np.array([joint_fit.value(term) for term in candidate.terms])
-    return float(values @ np.linalg.solve(joint_fit.covariance_of(candidate.terms), values))
+def _terms(ordinary: _Ordinary) -> list[EffectTerm]:
+    return [EffectTerm.of(coefficient) for coefficient in ordinary]
+
+
+def _evidence(joint_fit: EffectsFit, ordinary: _Ordinary) -> float:
+    """Second-order loss of score without an effect: its squared deviation from zero in standard deviations; 0 if a
+    coefficient has an impossible sign."""
+    values = np.array([joint_fit.value(term) for term in _terms(ordinary)])
+    if any(coefficient.positive and value <= 0.0 for coefficient, value in zip(ordinary, values, strict=True)):
+        return 0.0
+    return float(values @ np.linalg.solve(joint_fit.covariance_of(_terms(ordinary)), values))
 
 
 def _with_ordinary(
-    prior: EffectsPrior, problem: LinearisedProblem, named: Sequence[Candidate], ordinary: Sequence[Candidate]
+    prior: EffectsPrior, problem: LinearisedProblem, named: Sequence[Candidate], ordinary: Sequence[_Ordinary]
 ) -> EffectsPrior:
     """Return a prior in which ordinary effects are a fraction of the measurement, as in ``identify``: a free offset
     would absorb gravity."""
     named_terms = {term for candidate in named for term in candidate.terms}
-    terms = tuple(term for candidate in ordinary for term in candidate.terms if term not in named_terms)
+    terms = tuple(term for term in chain(*map(_terms, ordinary)) if term not in named_terms)
     sizes = problem.typical_sizes(terms)
     fractions = np.array([term.effect.prior_std_fraction or DEFAULT_PRIOR_STD for term in terms])
     prior_stds = fractions * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # any, if zero
@@ -196,10 +213,12 @@ def _with_ordinary(
     )
 
 
-def _known(model: MeasurementModel, joint_fit: EffectsFit, candidate: Candidate) -> KnownEffect:
+def _known(joint_fit: EffectsFit, ordinary: _Ordinary) -> KnownEffect:
     """Effect in the form of files."""
-    parameters = library.parameters(model, joint_fit, candidate)
-    return KnownEffect(candidate.name, model.places.name(candidate.place), "", parameters)
+    stds = np.sqrt(np.diag(joint_fit.covariance_of(_terms(ordinary)))).tolist()
+    found = zip(ordinary, _terms(ordinary), stds, strict=True)
+    parameters = [coefficient.parameters(joint_fit.value(term), std) for coefficient, term, std in found]
+    return KnownEffect(ordinary[0].effect.name, ordinary[0].place_name, "", dict(ChainMap(*parameters)))
 
 
 def _as_given(prior: EffectsPrior, sure: Sequence[Candidate]) -> EffectsPrior:

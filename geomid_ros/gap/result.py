@@ -218,8 +218,8 @@ class GapSummary:
         findings: the named effects, the one that matters most first.
         links: those whose mass or first moment differs from the model, without payloads.
         unexplained: what no named effect explains.
-        ordinary: starting from a URDF, which has none of them: friction, rotor inertia and offsets of all joints that
-            are not in a sure finding, as ``identify`` finds them.
+        ordinary: starting from a URDF, which has none of them: effects that ``identify`` finds, and friction, rotor
+            inertia and offsets of all joints, unless a sure finding excludes them.
         located: variables that explain each channel's first remainder.
         ranking: all candidates, the best first.
         cutoff: of the low-pass in whose band noise and gap are [Hz].

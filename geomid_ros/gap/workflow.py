@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap.analysis import analyse, known_remainder
-from geomid_ros.gap.candidates import Candidate, EffectsPrior, EffectTerm, Shapes, passivity_constraints
+from geomid_ros.gap.candidates import Candidate, EffectsByPlace, EffectsPrior, EffectTerm, passivity_constraints
 from geomid_ros.gap.confirmed_changes import confirmed_changes, folded
 from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.gap.linearised_problem import LinearisedProblem, root_mean_square, total_model
@@ -24,7 +24,6 @@ from geomid_ros.gap.verdict import HeldOut, changed_links, findings, locate_resi
 from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.inference.prior import OtherRecordings, Prior
 from geomid_ros.model.alike_parts import AlikeParts
-from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST, Samples
@@ -54,7 +53,7 @@ def find_gap(
     previous: OtherRecordings | None = None,
     other_effects: Sequence[KnownEffect] = (),
     known_remainder: KnownRemainder | None = None,
-    shapes: Shapes = MappingProxyType({}),
+    ordinary: EffectsByPlace = MappingProxyType({}),
     simulated: Sequence[Samples] = (),
     progress: Progress = silent,
 ) -> GapResult:
@@ -82,8 +81,8 @@ def find_gap(
             these and all of the model's coefficients.
         other_effects: the model's effects that are not coefficients, because they depend on its prediction of a motion.
         known_remainder: the model's remainder on its own data, which is no change; see :func:`remainder_of_model`.
-        shapes: default effects that are known to have these constants: as ``identify`` finds them, from rest and
-            reversals, too.
+        ordinary: effects that ``identify`` finds, from rest and reversals, too: joints of this robot may well have
+            them, so the written model has them unless a sure finding excludes them.
         simulated: recordings of the user's simulator under the same commands, in the same form; what they show as well
             as ``train`` is no gap.
         progress: called with the present stage and the finished fraction, 0 to 1.
@@ -106,7 +105,7 @@ def find_gap(
     prior = _with_least_stds(bare, records, prior)
     if simulated:
         prior, known_remainder = _as_simulated(bare, Records.make(simulated, cutoff), prior, progress), None
-    analysis = analyse(bare, records, prior, progress, known_remainder, shapes)
+    analysis = analyse(bare, records, prior, progress, known_remainder, ordinary)
     progress("judging", 0.0)
     links = changed_links(bare, analysis)
     named = findings(bare, analysis)
@@ -239,7 +238,7 @@ def _prior(
     changes = np.maximum(_STD_OF_EFFECTS * np.abs(strengths), _LEAST_STD)
     if known is not None and len(known.changes):
         known = known.of_coefficients(present, changes)
-    terms = tuple(_term(model.coefficients[place]) for place in present)
+    terms = tuple(EffectTerm.of(model.coefficients[place]) for place in present)
     identified = bool(np.any(np.isfinite(values[:size])))
     return Prior(
         inertias=inertias,
@@ -252,11 +251,6 @@ def _prior(
         other_recordings=known if identified else None,
         constraints=passivity_constraints,
     )
-
-
-def _term(coefficient: Coefficient) -> EffectTerm:
-    """Term of an effect that the model already has."""
-    return EffectTerm(coefficient.effect, coefficient.place, coefficient.index)
 
 
 def _with_other_effects(
@@ -321,6 +315,6 @@ def _as_simulated(model: MeasurementModel, records: Records, prior: EffectsPrior
 
 def _coefficients(model: MeasurementModel, prior: EffectsPrior, named_terms: Collection[EffectTerm]) -> FloatArray:
     """The model's coefficients as given ``(coefficients,)``; NaN where absent or in ``named_terms``."""
-    terms = [_term(coefficient) for coefficient in model.coefficients]
+    terms = [EffectTerm.of(coefficient) for coefficient in model.coefficients]
     is_kept = [term in prior.terms and term not in named_terms for term in terms]
     return np.array([prior.value(term) if kept else np.nan for term, kept in zip(terms, is_kept, strict=True)])

@@ -147,13 +147,16 @@ class EffectPlaces:
             # A sensor on the link side of a gear does not show what acts before it.
             joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
             if acts and not (effect.before_gear and joints.intersection(link_side_joints)):
-                entries += self._at(effect, place, optional=effect not in (*common, *own))
+                entries += self.coefficients_at(effect, place, optional=effect not in (*common, *own))
         names = [effect.name for effect in effects]
         places = list(dict.fromkeys(coefficient.place for coefficient in entries))
         # Coefficients of one mechanism are adjacent, whatever the constants of their effects.
         return tuple(sorted(entries, key=lambda c: (not c.positive, names.index(c.effect.name), places.index(c.place))))
 
-    def _at(self, effect: IdentifiedEffect, place: Place, *, optional: bool) -> Iterator[Coefficient]:
+    def coefficients_at(
+        self, effect: IdentifiedEffect, place: Place, *, optional: bool = False
+    ) -> Iterator[Coefficient]:
+        """Yield the coefficients of an effect at a place."""
         forms = effect.column_parameters
         if isinstance(place, AtSensor):
             by_axis = {form.name: form for form in forms}

@@ -140,7 +140,8 @@ def _verdict(result: GapResult) -> str:
     if result.verdict == "named":
         parts: list[Finding | LinkChange] = [*result.findings, *result.links]
         if not any(part.confidence == "confident" for part in parts):
-            return f"Found: {named}. None of them is certain; the written model is unchanged."
+            unchanged = "" if result.ordinary else "; the written model is unchanged"
+            return f"Found: {named}. None of them is certain{unchanged}."
         return f"Found: {named}. With {'it' if len(parts) == 1 else 'them'}, {_fall(result)}."
     if result.verdict == "incomplete":
         rest = f" A residual remains {missing}." if missing else ""
@@ -174,9 +175,11 @@ def _missing(remainders: Sequence[tuple[str, float, str]]) -> str:
 
 
 def common_effects(result: GapResult) -> list[str]:
-    """List the effects in the written model that every joint has, in a sentence; empty if there are none."""
+    """List the effects in the written model that need no finding, in a sentence; empty if there are none."""
+    if not result.ordinary:
+        return []
     kinds = ", ".join(dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary))
-    return [f"Also in the written model, for every joint: {kinds} (values in effects.yaml)."] if kinds else []
+    return [f"Also in the written model, as geomid identify finds them: {kinds} (values in effects.yaml)."]
 
 
 def summary(result: GapResult) -> list[str]:

@@ -23,7 +23,7 @@ from geomid_ros.files.models.posterior import (
     read_posterior,
     read_remainder,
 )
-from geomid_ros.gap.candidates import Shapes, library_columns
+from geomid_ros.gap.candidates import EffectsByPlace, library_columns
 from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, find_gap, remainder_of_model, residual_rms
@@ -146,7 +146,7 @@ def find_gap_in_samples(
             previous=information,
             other_effects=session.loaded.situational_effects,
             known_remainder=known_remainder,
-            shapes=_default_effects(session, recordings) if session.prior is None else {},
+            ordinary=_identified_effects(session, recordings) if session.prior is None else {},
             simulated=recordings.simulated,
             progress=progress,
         )
@@ -154,8 +154,8 @@ def find_gap_in_samples(
         raise InputError(BEYOND_PRECISION) from error
 
 
-def _default_effects(session: Session, recordings: GapSamples) -> Shapes:
-    """Default effects in the shapes that ``identify`` finds in the recordings to fit; none if these do not suffice."""
+def _identified_effects(session: Session, recordings: GapSamples) -> EffectsByPlace:
+    """Effects that ``identify`` finds in the recordings to fit; none if these do not suffice."""
     effects = {"effects": list(DEFAULT_EFFECTS), "candidates": list(DEFAULT_CANDIDATES)}
     usual = session.again({**effects, "filter.cutoff": recordings.cutoff})
     training = Training(usual)
@@ -168,7 +168,7 @@ def _default_effects(session: Session, recordings: GapSamples) -> Shapes:
     coefficients = usual.model.coefficients
     values = estimate.parameters[usual.model.dimension - len(coefficients) :]
     found = [coefficient for coefficient, value in zip(coefficients, values, strict=True) if value]
-    return {(c.effect.name, c.place): c.effect for c in found if c.effect.name in DEFAULT_EFFECTS}
+    return {(c.effect.name, c.place): c.effect for c in found}
 
 
 def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
