@@ -115,7 +115,7 @@ def account(run: Run, folder: Path) -> Account:
         save(known.session, folder / "known", known.estimate)
         model = folder / "known" / "estimate.json"
     found = geomid_ros.find_gap(run.bags, run.urdf, model=model, validate=run.validate)
-    write_found(folder / "gap", found.session, found.result)
+    write_found(folder / "gap", found.session, found.result, identified=found.identified)
     (folder / "gap.json").write_text(json.dumps(found.document, indent=1))
     written = folder / "gap" / "estimate.json"
     checked = geomid_ros.verify(written, run.validate, run.urdf)

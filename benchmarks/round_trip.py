@@ -141,7 +141,7 @@ class RoundTrip:
 
     def _gap(self, motion: int, model: Path | None, out: str) -> geomid_ros.Gap:
         found = geomid_ros.find_gap(self.bag(motion), URDF, model=model, wrench=self.planted.wrench)
-        write_found(self.folder / out, found.session, found.result)
+        write_found(self.folder / out, found.session, found.result, identified=found.identified)
         return found
 
     def model(self, step: str) -> Path:

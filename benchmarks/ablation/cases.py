@@ -31,7 +31,15 @@ from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import GapSamples, find_gap_in_samples, gap_cutoff, gap_pipeline, gap_session, message_rate
+from geomid_ros.session.gap import (
+    GapSamples,
+    find_gap_in_samples,
+    gap_cutoff,
+    gap_pipeline,
+    gap_session,
+    identified_in,
+    message_rate,
+)
 from geomid_ros.session.recordings import HELD_OUT, Topics, Training, read_samples, split_held_out
 from geomid_ros.session.review import faulty_streams
 from geomid_ros.session.session import Session
@@ -373,9 +381,9 @@ def _gaps() -> Iterator[Case]:
         recordings = GapSamples(cutoff=cutoff, train=[train], held_out=[test])
 
         def run(urdf: str = urdf, recordings: GapSamples = recordings) -> Figures:
-            result = find_gap_in_samples(
-                gap_session(urdf, Configuration(), "a robot"), recordings, None, lambda *_: None
-            )
+            session = gap_session(urdf, Configuration(), "a robot")
+            identified = identified_in(session, recordings)
+            result = find_gap_in_samples(session, recordings, None, identified, lambda *_: None)
             named = sorted((f.effect, f.joint or f.link or "", f.confidence) for f in result.findings)
             return {"gap": float(np.nansum(result.gap.after)), "verdict": str(result.verdict), "named": str(named)}
 

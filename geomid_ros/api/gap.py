@@ -20,7 +20,7 @@ from geomid_ros.exports.model import ExportModel, read_model
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
-from geomid_ros.files.models.readers import URDF
+from geomid_ros.files.models.readers import READERS, URDF
 from geomid_ros.files.schema import to_document
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
@@ -29,7 +29,14 @@ from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.series import elapsed
 from geomid_ros.resimulation.resimulate import Resimulated
-from geomid_ros.session.gap import GapReader, find_gap_in_samples, gap_session, known_remainder_of
+from geomid_ros.session.gap import (
+    GapReader,
+    Identified,
+    find_gap_in_samples,
+    gap_session,
+    identified_in,
+    known_remainder_of,
+)
 from geomid_ros.session.options import GapOptions, PathLike, RecordingOptions
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
@@ -49,6 +56,7 @@ class Gap:
         not_simulated: why there is no resimulation; empty if there is one.
         reader: software that will read the robot description.
         with_simulator: True if compared with a simulator of the user's, which models more than the description.
+        identified: what ``identify`` finds in the recordings, without a given model.
     """
 
     session: Session
@@ -59,6 +67,7 @@ class Gap:
     not_simulated: str
     reader: str = URDF
     with_simulator: bool = False
+    identified: Identified | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -91,7 +100,7 @@ class Gap:
     def _written(self) -> ExportModel:
         """Model for :attr:`reader` as it is written."""
         with TemporaryDirectory() as folder:
-            write_found(Path(folder), self.session, self.result, self.reader)
+            write_found(Path(folder), self.session, self.result, self.reader, self.identified)
             return read_model(Path(folder) / "estimate.json", self.reader)
 
     @cached_property
@@ -169,7 +178,7 @@ class Gap:
         return [Path(folder) / file.name for file in files]
 
     def _write(self, folder: Path) -> list[Path]:
-        files, document = write_found(folder, self.session, self.result, self.reader), self.document
+        files, document = write_found(folder, self.session, self.result, self.reader, self.identified), self.document
         write_json(folder / "gap.json", document)
         texts = {file_name(self.reader): self._description.text, **self._description.extra_files}
         for path, text in ((folder / name, text) for name, text in texts.items() if folder / name not in files):
@@ -215,8 +224,9 @@ def find_gap(options: GapOptions) -> Gap:
     reader = GapReader(session, recorded, options.progress)
     sharp = reader.high_cutoff_samples()
     commands = reader.high_cutoff_samples(options.command) if options.command else []
+    identified = identified_in(session, samples, READERS)
     try:
-        result = find_gap_in_samples(session, samples, known_remainder_of(session), options.progress)
+        result = find_gap_in_samples(session, samples, known_remainder_of(session), identified, options.progress)
     except InputError as error:
         raise InputError(f"{', '.join(map(str, recorded.fitted))}: {error}") from error
     options.progress("simulating again", 0.0)
@@ -230,4 +240,5 @@ def find_gap(options: GapOptions) -> Gap:
         not_simulated=not_simulated,
         reader=options.reader,
         with_simulator=bool(simulated),
+        identified=identified,
     )

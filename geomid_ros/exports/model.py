@@ -124,9 +124,9 @@ def read_model(path: Path, reader: str = "") -> ExportModel:
     bodies = _estimated_bodies(file, tree)
     known = effects = tuple(effect for effect in file.known_effects if not effect.is_payload)
     written = fitted_model_of(file, reader)
-    friction = _dynamics(text, str(urdf), effects)
     if written is not None:
         effects = tuple(effect for effect in written.effects if not effect.is_payload)
+    friction = _dynamics(text, str(urdf), (*known, *effects))
     model = ExportModel(
         source=source,
         tree=tree,

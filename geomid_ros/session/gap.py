@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -74,6 +74,21 @@ class GapSamples:
     simulated: Sequence[Samples] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """Robot as ``identify`` finds it in the recordings of the workflow: the ``estimate`` of a ``session``."""
+
+    session: Session
+    estimate: Estimate
+
+    @property
+    def effects(self) -> EffectsByPlace:
+        """The effects that it found."""
+        coefficients = self.session.model.coefficients
+        values = self.estimate.parameters[self.session.model.dimension - len(coefficients) :]
+        return {(c.effect.name, c.place): c.effect for c, value in zip(coefficients, values, strict=True) if value}
+
+
 def gap_session(urdf: str, configuration: Configuration, source: str) -> Session:
     """Create a session whose model has only the effects of the configured ``model``.
 
@@ -119,10 +134,15 @@ def gap_pipeline(session: Session, cutoff: float) -> SignalPipeline:
 
 
 def find_gap_in_samples(
-    session: Session, recordings: GapSamples, known_remainder: KnownRemainder | None, progress: Progress
+    session: Session,
+    recordings: GapSamples,
+    known_remainder: KnownRemainder | None,
+    identified: Identified | None,
+    progress: Progress,
 ) -> GapResult:
     """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model, the information on it, and its remainder
-    in the recordings that it was identified from: ``known_remainder``.
+    in the recordings that it was identified from: ``known_remainder``; without a model, with what was ``identified`` in
+    the recordings.
 
     Raises:
         InputError: the recordings are too short, without motion or without anything measured, their efforts are none
@@ -146,7 +166,7 @@ def find_gap_in_samples(
             previous=information,
             other_effects=session.loaded.situational_effects,
             known_remainder=known_remainder,
-            ordinary=_identified_effects(session, recordings) if session.prior is None else {},
+            ordinary={} if identified is None else identified.effects,
             simulated=recordings.simulated,
             progress=progress,
         )
@@ -154,21 +174,21 @@ def find_gap_in_samples(
         raise InputError(BEYOND_PRECISION) from error
 
 
-def _identified_effects(session: Session, recordings: GapSamples) -> EffectsByPlace:
-    """Effects that ``identify`` finds in the recordings to fit; none if these do not suffice."""
+def identified_in(session: Session, recordings: GapSamples, readers: Collection[str] = ()) -> Identified | None:
+    """Identify the robot of a session that has no model from the recordings to fit, for ``readers`` of descriptions,
+    too; None if it has one, or these do not suffice."""
+    if session.prior is not None:
+        return None
     effects = {"effects": list(DEFAULT_EFFECTS), "candidates": list(DEFAULT_CANDIDATES)}
-    usual = session.again({**effects, "filter.cutoff": recordings.cutoff})
+    configuration = session.configuration.with_values({**effects, "filter.cutoff": recordings.cutoff})
+    usual = Session(session.urdf, configuration, session.source, readers=readers)
     training = Training(usual)
     for samples in recordings.train:
         training.add(samples)
     try:
-        estimate = usual.identifier.solve()
+        return Identified(usual, usual.identifier.solve())
     except InputError:  # the workflow says better what is missing
-        return {}
-    coefficients = usual.model.coefficients
-    values = estimate.parameters[usual.model.dimension - len(coefficients) :]
-    found = [coefficient for coefficient, value in zip(coefficients, values, strict=True) if value]
-    return {(c.effect.name, c.place): c.effect for c in found}
+        return None
 
 
 def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
@@ -263,9 +283,9 @@ def find_in_messages(
     session.review.check.add(samples)
     session.review.judge()
     train, held_out = split_held_out(samples, HELD_OUT)
-    return find_gap_in_samples(
-        session, GapSamples(cutoff=cutoff, train=[train], held_out=[held_out]), known_remainder, progress
-    )
+    recordings = GapSamples(cutoff=cutoff, train=[train], held_out=[held_out])
+    identified = identified_in(session, recordings)
+    return find_gap_in_samples(session, recordings, known_remainder, identified, progress)
 
 
 def remainder_in_messages(

@@ -8,6 +8,7 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,16 @@ from geomid_ros.files.models.effects_file import combined, write_sidecar
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.mjcf import mjcf, mjcf_shapes
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.files.models.written_model import ModelFiles, WrittenModel, with_shifted_parameters, write_model
-from geomid_ros.gap.result import GapResult
+from geomid_ros.files.models.written_model import (
+    ModelFiles,
+    WrittenModel,
+    with_shifted_parameters,
+    write_model,
+    written_model,
+)
+from geomid_ros.gap.result import Finding, GapResult
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import KnownEffect
+from geomid_ros.model.effects import IdentifiedEffect, KnownEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.resimulate import (
     NotSimulatedError,
@@ -33,7 +40,7 @@ from geomid_ros.resimulation.resimulate import (
     resimulate_closed_loop,
     tracking,
 )
-from geomid_ros.session.gap import GapReader
+from geomid_ros.session.gap import GapReader, Identified
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, message_type
@@ -42,8 +49,11 @@ from geomid_ros.types import FloatArray, IntArray
 _NO_MUJOCO = "MuJoCo is not installed (pip install mujoco)"
 
 
-def write_found(folder: Path, session: Session, result: GapResult, reader: str = URDF) -> list[Path]:
-    """Write the session's model with the findings into ``folder``; the sidecar is that of one ``reader``.
+def write_found(
+    folder: Path, session: Session, result: GapResult, reader: str = URDF, identified: Identified | None = None
+) -> list[Path]:
+    """Write the session's model, or what was ``identified`` without one, with the findings into ``folder``; the sidecar
+    is that of one ``reader``.
 
     Returns:
         The files: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
@@ -51,18 +61,22 @@ def write_found(folder: Path, session: Session, result: GapResult, reader: str =
     refitted = session.loaded.refitted(session.model, result.coefficients, result.beside)
     noise = {"floor": by_channel(result.channels, result.corrected_floor), "cutoff": result.cutoff}
     effects = [*(e for e in refitted.effects if not e.is_payload), *result.ordinary, *result.sure]
-    before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
     after = dict(zip(session.model.body_names, result.inertias, strict=True))
-    fitted = {name: _changed(model, before, after, result) for name, model in session.loaded.fitted_models.items()}
+    fitted = _fitted_models(session, identified, result, after)
     shapes = mjcf_shapes(session.urdf, Path(session.source))
     files = {"folded": result.folded, "fitted": fitted, "reader": reader, "shapes": shapes}
     return _write(folder, session, result.inertias, effects, noise=noise, **files)
 
 
 def _changed(
-    file: WrittenModel, before: Mapping[str, FloatArray], after: Mapping[str, FloatArray], result: GapResult
+    file: WrittenModel,
+    before: Mapping[str, FloatArray],
+    after: Mapping[str, FloatArray],
+    sure: Sequence[Finding],
+    folded: Mapping[tuple[str, str], float] = MappingProxyType({}),
 ) -> WrittenModel:
-    """Apply the changes of the full model to the model of a ``file``.
+    """Apply the changes of the full model, with ``sure`` findings and newly ``folded`` ones, to the model of a
+    ``file``.
 
     A link that cannot be lighter by the difference, as the file has a part of it elsewhere, gets the full inertia.
     """
@@ -72,12 +86,29 @@ def _changed(
         inertias[name] = changed if pseudo_inertia.is_body(changed) else inertia
     effects = {(effect.effect, effect.joint): effect for effect in file.effects}
     findings = []
-    for finding in result.sure:
+    for finding in sure:
         previous = effects.pop((finding.effect, finding.joint), None) if finding.was else None
         before_it = previous.parameters if previous else {}
         shifts = {name: before_it[name].value - was for name, was in finding.was.items() if name in before_it}
         findings.append(with_shifted_parameters(finding, shifts))
-    return WrittenModel(inertias, tuple(combined([*effects.values(), *findings])), result.newly_folded)
+    return WrittenModel(inertias, tuple(combined([*effects.values(), *findings])), folded)
+
+
+def _fitted_models(
+    session: Session, identified: Identified | None, result: GapResult, after: Mapping[str, FloatArray]
+) -> dict[str, WrittenModel]:
+    """Models of descriptions, fitted within the limits of each, by reader: those of the session's model with the
+    findings, or those ``identified`` without one, with the sure effects that ``identify`` cannot find. The full
+    model's links are those ``after`` the workflow."""
+    if identified is None:
+        before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
+        given = session.loaded.fitted_models
+        return {name: _changed(model, before, after, result.sure, result.newly_folded) for name, model in given.items()}
+    estimate = identified.estimate
+    others = [finding for finding in result.sure if not issubclass(finding.cls, IdentifiedEffect)]
+    links = {link.name: link.parameters for link in estimate.links} if others else after
+    models = {reader: written_model(identified.session.model, estimate, reader) for reader in estimate.within}
+    return {reader: _changed(model, links, after, others) for reader, model in models.items()}
 
 
 def nominal_inertias(session: Session) -> FloatArray:

@@ -13,6 +13,7 @@ from commands.running import found_only
 from files.recordings import BAGS, QUICK, Recorded, altered
 
 import geomid_ros
+from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.estimate_file import EstimateFile, HandoverEntry
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.recording import simulate
@@ -202,3 +203,32 @@ def test_a_model_without_fits_for_files_is_told(
     found.save(tmp_path / "found", report=False)
     written = handover(tmp_path / "found")
     assert masses(written["urdf"]) == {link["name"]: pytest.approx(link["mass"]) for link in document["links"]}
+
+
+def test_from_a_urdf_descriptions_are_those_that_identify_fits(recordings: tuple[Path, Path], tmp_path: Path) -> None:
+    """Within the limits of each format, unless something is sure that ``identify`` cannot find."""
+    given = (altered(recordings[0], tmp_path / "fitted", changed(rubbing)), BAGS / "arm3.urdf")
+    found = geomid_ros.find_gap(*given, validate=recordings[1])
+    assert "viscous_friction" in {finding.effect for finding in found.result.sure}
+    found.save(tmp_path / "gap")
+    config = {"filter.cutoff": found.result.cutoff}
+    geomid_ros.identify(*given, validate=recordings[1], config=config).save(tmp_path / "identified", report=False)
+    files = [EstimateFile.read(tmp_path / folder / "estimate.json").handover for folder in ("gap", "identified")]
+    assert files[0].keys() == files[1].keys()
+    for reader, own in files[0].items():
+        for link, other in zip(own.links, files[1][reader].links, strict=True):
+            assert (link.name, link.mass) == (other.name, pytest.approx(other.mass, rel=1e-3)), reader
+        values = [{(e.effect, e.joint): e.values for e in entry.effects} for entry in (own, files[1][reader])]
+        assert ("viscous_friction", JOINT) in values[0].keys() <= values[1].keys(), reader
+        for key, found_values in values[0].items():
+            assert found_values == pytest.approx(values[1][key], rel=1e-3), (reader, key)
+
+
+def test_friction_that_only_a_description_has_counts_once(identified: Path, tmp_path: Path) -> None:
+    """The estimate may have another kind in its place."""
+    document = json.loads((identified / "estimate.json").read_text())
+    document["effects"] = [e for e in document["effects"] if (e["name"], e["joint"]) != ("viscous_friction", JOINT)]
+    (tmp_path / "estimate.json").write_text(json.dumps(document))
+    (tmp_path / "identified.urdf").write_text((identified / "identified.urdf").read_text())
+    effects = read_model(tmp_path / "estimate.json", "urdf").effects
+    assert [(e.effect, e.joint) for e in effects].count(("viscous_friction", JOINT)) == 1

@@ -126,4 +126,4 @@ def test_a_model_with_effects_of_loads_is_refused_on_legs() -> None:
     session: Any = SimpleNamespace(model=SimpleNamespace(legs=True), loaded=loaded)
     unused: Any = None
     with pytest.raises(InputError, match=r"effort_gain of elbow.*leave them out of the model"):
-        find_gap_in_samples(session, unused, unused, unused)
+        find_gap_in_samples(session, unused, unused, unused, unused)
