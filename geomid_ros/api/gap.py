@@ -56,7 +56,7 @@ class Gap:
         not_simulated: why there is no resimulation; empty if there is one.
         reader: software that will read the robot description.
         with_simulator: True if compared with a simulator of the user's, which models more than the description.
-        identified: what ``identify`` finds in the recordings, without a given model.
+        identified: what ``identify`` finds in the recordings, without a given model or a simulator of the user's.
     """
 
     session: Session
@@ -240,5 +240,5 @@ def find_gap(options: GapOptions) -> Gap:
         not_simulated=not_simulated,
         reader=options.reader,
         with_simulator=bool(simulated),
-        identified=identified,
+        identified=None if simulated else identified,
     )

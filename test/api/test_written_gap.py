@@ -232,3 +232,21 @@ def test_friction_that_only_a_description_has_counts_once(identified: Path, tmp_
     (tmp_path / "identified.urdf").write_text((identified / "identified.urdf").read_text())
     effects = read_model(tmp_path / "estimate.json", "urdf").effects
     assert [(e.effect, e.joint) for e in effects].count(("viscous_friction", JOINT)) == 1
+
+
+def test_beside_a_simulator_of_the_users_nothing_is_written_but_findings(
+    recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has the rest of the robot: what ``identify`` finds is no change of it."""
+    found_only(monkeypatch)
+
+    def moved(item: Recorded) -> Recorded:
+        return item.changed(position=item.message.position + 1e-9) if item.topic == "/joint_states" else item
+
+    bag = altered(recordings[0], tmp_path / "measured", changed(rubbing))
+    twin = altered(recordings[0], tmp_path / "simulated", moved)
+    found = geomid_ros.find_gap(bag, BAGS / "arm3.urdf", simulated=twin, hold_out=0.3)
+    assert [(finding.effect, finding.joint) for finding in found.result.sure] == [("viscous_friction", JOINT)]
+    found.save(tmp_path / "found", report=False)
+    effects = EstimateFile.read(tmp_path / "found/estimate.json").handover["urdf"].effects
+    assert [(e.effect, e.joint) for e in effects] == [("viscous_friction", JOINT)]
