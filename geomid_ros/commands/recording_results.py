@@ -52,13 +52,8 @@ def show_identification(found: geomid_ros.Identification) -> None:
     console.print(_links_table(file, links))
     if file.known:
         console.print(_known_table(file.known))
-    of_joints = _at_every_joint(file.effect_estimates)
-    if of_joints:
-        console.print(_joint_effects_table(of_joints))
-    listed = {(effect.name, effect.joint) for effect in of_joints}
-    others = [effect for effect in file.known_effects if (effect.effect, effect.joint) not in listed]
-    if others:
-        console.print(_other_effects_table(others))
+    for table in _effects_tables(file.effect_estimates, file.known_effects):
+        console.print(table)
     console.print(_errors_table(file))
     if found.tracking is not None:
         say(console, "Closed loop:", f" {_tracking(found.tracking, file.description)}")
@@ -99,6 +94,20 @@ def _known_table(weighed: Sequence[WeighedEstimate]) -> Table:
     return table
 
 
+def _effects_tables(
+    effects: Sequence[EffectEstimate], known: Sequence[KnownEffect], where: str = ""
+) -> Iterator[Table]:
+    """Yield tables of the ``effects`` that most joints have, and of all others that are ``known``; ``where`` they are
+    written, for the titles."""
+    of_joints = _at_every_joint(effects)
+    if of_joints:
+        yield _joint_effects_table(of_joints, f"Joint effects{where}")
+    listed = {(effect.name, effect.joint) for effect in of_joints}
+    others = [effect for effect in known if (effect.effect, effect.joint) not in listed]
+    if others:
+        yield _other_effects_table(others, f"Other effects{where}")
+
+
 def _at_every_joint(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
     """Select the effects with one coefficient that most joints have, for a table with a row for each joint."""
     kinds = {name: EFFECTS[name] for name in {effect.name for effect in effects}}
@@ -107,9 +116,9 @@ def _at_every_joint(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
     return [effect for effect in of_joints if 2 * counts[effect.name] > len(joints)]
 
 
-def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
+def _other_effects_table(effects: Sequence[KnownEffect], title: str) -> Table:
     """Table of effects with several parameters, at other places, or fixed by the model."""
-    table = plain_table("Other effects", ["effect", "where", "parameter"], ["value"])
+    table = plain_table(title, ["effect", "where", "parameter"], ["value"])
     for effect in effects:
         names = lines(name.replace("_", " ") for name in effect.parameters)
         values = lines(map(gap_words.measured, effect.parameters.values()))
@@ -117,7 +126,7 @@ def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
     return table
 
 
-def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
+def _joint_effects_table(effects: Sequence[EffectEstimate], title: str) -> Table:
     """Table of joint effects. A cell is empty if the joint has no such effect, or has it with the default constant.
     Values that are not from the data are marked."""
     joints = list(dict.fromkeys(effect.joint for effect in effects))
@@ -130,7 +139,7 @@ def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
         cells[effect.joint] = f"{gap_words.measured(replace(size, unit='')).rstrip()}{weak}"
         for name, constant in constants:
             columns.setdefault(f"{first}\n{name}\n[{constant.unit}]", {})[effect.joint] = f"{constant.value:g}"
-    title = f"Joint effects{' (*: mostly from the prior)' * any(e.from_data < result_pages.WEAK for e in effects)}"
+    title += " (*: mostly from the prior)" * any(e.from_data < result_pages.WEAK for e in effects)
     table = plain_table(title, ["joint"], list(columns))
     for joint in joints:
         table.add_row(joint, *(cells.get(joint, "") for cells in columns.values()))
@@ -161,9 +170,9 @@ def show_gap(found: geomid_ros.Gap) -> None:
         say(console, "", sentence)
     if result.findings:
         console.print(_findings_table(result))
-    for sentence in (*gap_words.common_effects(result), *_sentences(result)):
+    for sentence in _sentences(result):
         say(console, "", sentence)
-    console.print(_gaps_table(result))
+    console.print(*_ordinary_tables(result), _gaps_table(result), sep="")
     if found.handover is not None:
         _print_file(console, found.handover)
     for simulation in found.simulated:
@@ -177,6 +186,14 @@ def show_gap(found: geomid_ros.Gap) -> None:
         say(console, "Next recording", "")
         for motion in record:
             say(console, "", f"- {motion}")
+
+
+def _ordinary_tables(result: GapResult) -> Iterator[Table]:
+    effects = [
+        EffectEstimate(name=effect.effect, joint=effect.joint, parameters=effect.parameters, from_data=1.0)
+        for effect in result.ordinary
+    ]
+    return _effects_tables(effects, result.ordinary, " that geomid identify finds, also in the written model")
 
 
 def _print_file(console: Console, file: FileTest) -> None:

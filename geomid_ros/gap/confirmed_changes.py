@@ -5,7 +5,6 @@ Friction that neither a URDF nor an MJCF can represent is approximated there by 
 
 from __future__ import annotations
 
-from collections import ChainMap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -217,8 +216,10 @@ def _known(joint_fit: EffectsFit, ordinary: _Ordinary) -> KnownEffect:
     """Effect in the form of files."""
     stds = np.sqrt(np.diag(joint_fit.covariance_of(_terms(ordinary)))).tolist()
     found = zip(ordinary, _terms(ordinary), stds, strict=True)
-    parameters = [coefficient.parameters(joint_fit.value(term), std) for coefficient, term, std in found]
-    return KnownEffect(ordinary[0].effect.name, ordinary[0].place_name, "", dict(ChainMap(*parameters)))
+    parameters = dict[str, Quantity]()
+    for coefficient, term, std in found:
+        parameters |= coefficient.parameters(joint_fit.value(term), std)
+    return KnownEffect(ordinary[0].effect.name, ordinary[0].place_name, "", parameters)
 
 
 def _as_given(prior: EffectsPrior, sure: Sequence[Candidate]) -> EffectsPrior:

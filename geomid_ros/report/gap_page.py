@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.files.models.gap_file import GapFile
-from geomid_ros.gap.result import Finding, GapResult, ResidualDependence
+from geomid_ros.gap.result import GapResult, ResidualDependence
 from geomid_ros.gap.verdict import GAP_ABOVE
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
@@ -129,6 +129,7 @@ def _content(page: GapPage) -> dict[str, Any]:
         ],
         "located": _located(result),
         "links": list(_links(page)),
+        "added": (*result.sure, *result.ordinary),
         "old": partial(_value_before, page.file.known),
         "script": Script.read(SCRIPT),
     }
@@ -218,10 +219,10 @@ def _worst_joints(page: GapPage, simulation: Resimulated) -> list[Series]:
 # --- The model file ---
 
 
-def _value_before(known: Sequence[KnownEffect], finding: Finding, parameter: str) -> str:
-    """Value of a finding's parameter in the model before."""
+def _value_before(known: Sequence[KnownEffect], added: KnownEffect, parameter: str) -> str:
+    """Value of an added effect's parameter in the model before."""
     for effect in known:
-        if (effect.effect, effect.joint) == (finding.effect, finding.joint) and parameter in effect.parameters:
+        if (effect.effect, effect.joint) == (added.effect, added.joint) and parameter in effect.parameters:
             return gap_words.measured(effect.parameters[parameter])
     return "none"
 

@@ -174,14 +174,6 @@ def _missing(remainders: Sequence[tuple[str, float, str]]) -> str:
     return f"{where}, which depends on {remainders[0][2]}" if len(remainders) == 1 else where
 
 
-def common_effects(result: GapResult) -> list[str]:
-    """List the effects in the written model that need no finding, in a sentence; empty if there are none."""
-    if not result.ordinary:
-        return []
-    kinds = ", ".join(dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary))
-    return [f"Also in the written model, as geomid identify finds them: {kinds} (values in effects.yaml)."]
-
-
 def summary(result: GapResult) -> list[str]:
     """Summarise the result in at most four sentences after the verdict: sure and possible effects with their sizes,
     effects that have rivals as likely, and the unexplained remainder."""

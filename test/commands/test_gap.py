@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from files.gaps import gap_result
 from files.recordings import BAGS, QUICK, Recorded, altered, recorded, write_bag
 
+from geomid_ros.commands.recording_results import show_gap
 from geomid_ros.files.models.effects_file import read_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import simulate
@@ -100,6 +105,17 @@ def test_the_written_model_has_what_was_found(found: tuple[Path, str]) -> None:
     assert robot.described_dynamics["joint2", "dynamics/friction"] == pytest.approx(level, rel=0.05)
     written = {link.name: link.mass for link in estimate.handover["urdf"].links}
     assert written == pytest.approx({body.name: body.parameters[0] for body in robot.bodies}, rel=1e-8)
+
+
+def test_what_identify_finds_is_printed_by_joint(capsys: pytest.CaptureFixture[str]) -> None:
+    offset = KnownEffect("effort_offset", "joint1", "", {"offset": Quantity(1.5, 0.1, "N m")})
+    result = replace(gap_result("named", ["joint1", "joint2"]), ordinary=(offset,))
+    review = SimpleNamespace(findings=(), warnings=tuple)
+    session = SimpleNamespace(review=review, notes=())
+    found: Any = SimpleNamespace(result=result, session=session, handover=None, simulated=(), not_simulated="")
+    show_gap(found)
+    table = capsys.readouterr().out.partition("that geomid identify finds, also in the written model")[2]
+    assert re.match(r"[^A-Z]*effort[^A-Z]*offset[^A-Z]*\[N m\][^A-Z]*joint1 +1.50 ± 0.10", table)
 
 
 @pytest.mark.usefixtures("found_only")

@@ -113,11 +113,21 @@ def test_the_table_of_changes_has_links_that_changed_and_what_the_model_said_bef
     assert "link joint2 3.500 3.850" in text
     assert text.count("0.19") == 3, "sqrt(4) log(1.1) of each"
     level = Quantity(0.25, unit="N m")
-    known = (KnownEffect(effect="coulomb_friction", joint="joint2", parameters={"level": level}),)
-    page = drawn(replace(PAGES["ambiguous"], file=replace(PAGES["ambiguous"].file, known=known)))
-    assert "already in the model Coulomb friction at joint2" in page.text
+    known = (KnownEffect(effect="coulomb_friction", joint="joint4", parameters={"level": level}),)
+    page = drawn(replace(NAMED, file=replace(NAMED.file, known=known)))
+    assert "already in the model Coulomb friction at joint4" in page.text
     assert "level 0.2500 N m 0.4012 ± 0.0049 N m" in page.text
-    assert "level none 0.4012 ± 0.0049 N m" in drawn(PAGES["ambiguous"]).text
+    assert "level none 0.4012 ± 0.0049 N m" in text
+
+
+def test_the_table_of_changes_has_what_is_written_and_no_more(drawn: Draw) -> None:
+    """Also what ``identify`` finds beside a URDF; not what is unsure."""
+    assert "Added" not in drawn(PAGES["ambiguous"]).text
+    offset = KnownEffect("effort_offset", "joint3", "", {"offset": Quantity(1.5, 0.1, "N m")})
+    text = drawn(replace(NAMED, result=replace(NAMED.result, ordinary=(offset,)))).text
+    assert re.search(
+        r"Added: sure findings, and what geomid identify finds .* at joint3 offset none 1.50 ± 0.10 N m", text
+    )
 
 
 def test_what_is_said_of_each_case(drawn: Draw) -> None:
