@@ -224,8 +224,8 @@ def find_gap(options: GapOptions) -> Gap:
     reader = GapReader(session, recorded, options.progress)
     sharp = reader.high_cutoff_samples()
     commands = reader.high_cutoff_samples(options.command) if options.command else []
-    identified = identified_in(session, samples, READERS)
     try:
+        identified = identified_in(session, samples, READERS)
         result = find_gap_in_samples(session, samples, known_remainder_of(session), identified, options.progress)
     except InputError as error:
         raise InputError(f"{', '.join(map(str, recorded.fitted))}: {error}") from error

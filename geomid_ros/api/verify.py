@@ -32,6 +32,7 @@ from geomid_ros.api.robot import (
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError, check_name, unknown_name
 from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import TOTAL
 from geomid_ros.options import takes
@@ -91,7 +92,10 @@ def verify(options: VerifyOptions) -> Verification:
             f"requirement '{relative.text}' compares with the URDF before, and {path} is the identified one; name the "
             "former with --urdf"
         )
-    session, samples = read_test_samples(options, options.validate, model=options.model, cutoff=file.cutoff)
+    # The description may have friction of kinds that the model has not.
+    session, samples = read_test_samples(
+        options, options.validate, model=options.model, effects=DEFAULT_EFFECTS, cutoff=file.cutoff
+    )
     values = _values(session, samples, file)
     return Verification(
         session=session,

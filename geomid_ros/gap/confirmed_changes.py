@@ -116,7 +116,7 @@ class _Refit:
         named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.effects
         total = self._without_uncertain(sure)
         for _ in range(_REFITS):
-            problem = LinearisedProblem(self.model, self.records, total, self.analysis.floor)
+            problem = LinearisedProblem(self.model, self.records, total)
             chosen = (term for candidate in named for term in candidate.terms)
             columns = problem.columns([*self.analysis.search.prior.terms, *chosen, *chain(*map(_terms, ordinary))])
             design = problem.design_alone(columns)
@@ -139,7 +139,8 @@ class _Refit:
         return replace(total, effects=tuple(item for item in total.effects if item[:2] in places))
 
     def _ordinary_beside(self, sure: Sequence[Candidate]) -> list[_Ordinary]:
-        """Default effects of all joints and sensors, and all that ``identify`` finds, if nothing is known of them."""
+        """All that ``identify`` finds if nothing is known of joints and sensors, or the default effects of all. Where
+        an effect is sure only default ones: others would share its size."""
         if self.analysis.search.prior.identified or self.analysis.search.prior.terms:
             return []
         places = self.model.places
@@ -147,7 +148,8 @@ class _Refit:
         return [
             tuple(places.coefficients_at(effect, place))
             for (_, place), effect in (dict(self.analysis.ordinary) or default).items()
-            if not any(Candidate.of(effect, place).excludes(other) for other in sure)
+            if not (effect.name not in DEFAULT_EFFECTS and any(place == other.place for other in sure))
+            and not any(Candidate.of(effect, place).excludes(other) for other in sure)
         ]
 
     def _fit(

@@ -98,14 +98,16 @@ def _fitted_models(
     session: Session, identified: Identified | None, result: GapResult, after: Mapping[str, FloatArray]
 ) -> dict[str, WrittenModel]:
     """Models of descriptions, fitted within the limits of each, by reader: those of the session's model with the
-    findings, or those ``identified`` without one, with the sure effects that ``identify`` cannot find. The full
-    model's links are those ``after`` the workflow."""
+    findings, or those ``identified`` without one, with sure payloads. None of the latter if anything else is sure that
+    ``identify`` cannot find, as its effects absorb that. The full model's links are those ``after`` the workflow."""
     if identified is None:
         before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
         given = session.loaded.fitted_models
         return {name: _changed(model, before, after, result.sure, result.newly_folded) for name, model in given.items()}
-    estimate = identified.estimate
     others = [finding for finding in result.sure if not issubclass(finding.cls, IdentifiedEffect)]
+    if not all(finding.is_payload for finding in others):
+        return {}
+    estimate = identified.estimate
     links = {link.name: link.parameters for link in estimate.links} if others else after
     models = {reader: written_model(identified.session.model, estimate, reader) for reader in estimate.within}
     return {reader: _changed(model, links, after, others) for reader, model in models.items()}
