@@ -193,7 +193,7 @@ def _ordinary_tables(result: GapResult) -> Iterator[Table]:
         EffectEstimate(name=effect.effect, joint=effect.joint, parameters=effect.parameters, from_data=1.0)
         for effect in result.ordinary
     ]
-    return _effects_tables(effects, result.ordinary, " that geomid identify finds, also in the written model")
+    return _effects_tables(effects, result.ordinary, " of the written model (sure ones, and those of identify)")
 
 
 def _print_file(console: Console, file: FileTest) -> None:

@@ -47,15 +47,15 @@ _Ordinary: TypeAlias = tuple[Coefficient, ...]  # of one effect at one place
 
 @dataclass(frozen=True, eq=False)
 class ConfirmedChanges:
-    """The ``found`` fit; its ``inertias (links, 10)``, of unchanged links exactly as given; ``findings`` and ``links``
-    with its sizes, without those that are less likely than nothing; and, where nothing was known of joints before,
-    their ``ordinary`` effects, which need no finding."""
+    """The ``found`` fit of the written model; its ``inertias (links, 10)``, of unchanged links exactly as given;
+    ``findings`` and ``links`` with their sizes, without those that are less likely than nothing; and, where nothing was
+    known of joints before, all ``effects`` of the written model, with or without a finding."""
 
     found: EffectsFit
     inertias: FloatArray
     findings: tuple[Finding, ...]
     links: tuple[LinkChange, ...]
-    ordinary: tuple[KnownEffect, ...]
+    effects: tuple[KnownEffect, ...]
 
 
 def confirmed_changes(
@@ -69,13 +69,13 @@ def confirmed_changes(
 
     During the search, all that the model has may drift a little, and unsure named effects absorb what they can. In a
     file, both would be unreported changes. So effects of the given model, and the links of an identified one, are as
-    given unless a sure finding contradicts. A URDF has no friction: starting from it, joints have the default effects
-    and all that ``identify`` finds, which predict better, though no cause of the gap may be sure.
+    given unless a sure finding contradicts. A URDF has no friction: sizes are those beside the default effects of all
+    joints. The written model has all that ``identify`` finds, too, which predicts better, though no cause may be sure.
     """
     changed = [model.body_names.index(link.link) for link in links if link.confidence == "confident"]
     sure = [candidate for candidate, finding in findings if finding.confidence == "confident"]
     refit = _Refit(model, records, analysis, changed)
-    refitted, ordinary = refit.found(sure)
+    refitted = refit.found(sure)[0]
     whole = refit.found([candidate for candidate, _ in findings])[0] if len(sure) < len(findings) else refitted
     sized = list(_findings_as_written(model, analysis, refitted, whole, findings))
     pairs = zip(findings, sized, strict=True)
@@ -86,23 +86,28 @@ def confirmed_changes(
     if (kept, kept_links) != (list(findings), list(links)):
         # A change that is no longer sure must not be in the file, and it affects all other sizes.
         return confirmed_changes(model, records, analysis, kept, kept_links)
-    return ConfirmedChanges(
-        refitted,
-        np.where(refit.held[:, None], analysis.search.prior.inertias.reshape(-1, 10), refitted.inertias),
-        tuple(finding for finding in sized if finding.is_likely),
-        tuple(link for link in sized_links if link.probability >= LIKELY),
-        tuple(_known(refitted, coefficients) for coefficients in ordinary),
-    )
+    likely = tuple(finding for finding in sized if finding.is_likely)
+    likely_links = tuple(link for link in sized_links if link.probability >= LIKELY)
+    prior = analysis.search.prior
+    if prior.identified or prior.terms:
+        inertias = np.where(refit.held[:, None], prior.inertias.reshape(-1, 10), refitted.inertias)
+        return ConfirmedChanges(refitted, inertias, likely, likely_links, ())
+    written, named, ordinary = replace(refit, as_identified=True).found(sure)
+    effects = *(_named(model, written, each) for each in named), *(_known(written, each) for each in ordinary)
+    return ConfirmedChanges(written, written.inertias, likely, likely_links, effects)
 
 
 @dataclass(frozen=True, eq=False)
 class _Refit:
-    """Fits of the sure changes of an ``analysis``, the rest fixed; ``changed``: links that differ now."""
+    """Fits of the sure changes of an ``analysis``, the rest fixed; ``changed``: links that differ now.
+    ``as_identified``: for a written model instead of sizes, with all effects that ``identify`` finds, to all samples,
+    and links with prior stds of their own."""
 
     model: MeasurementModel
     records: Records
     analysis: Analysis
     changed: Collection[int]
+    as_identified: bool = False
 
     @property
     def held(self) -> BoolArray:
@@ -110,13 +115,13 @@ class _Refit:
         links = len(self.analysis.effects.prior_stds)
         return np.isin(np.arange(links), list(self.changed), invert=True) & self.analysis.search.prior.identified
 
-    def found(self, sure: Sequence[Candidate]) -> tuple[EffectsFit, list[_Ordinary]]:
+    def found(self, sure: Sequence[Candidate]) -> tuple[EffectsFit, list[Candidate], list[_Ordinary]]:
         """Fit the ``sure`` effects and significant ordinary effects, without those out of range, on the rows alone, as
-        a file predicts from its parameters alone. Return the fit, and its ordinary effects."""
+        a file predicts from its parameters alone. Return the fit, and both kinds of effects in it."""
         named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.effects
-        total = self._without_uncertain(sure)
+        total, floor = self._without_uncertain(sure), None if self.as_identified else self.analysis.floor
         for _ in range(_REFITS):
-            problem = LinearisedProblem(self.model, self.records, total)
+            problem = LinearisedProblem(self.model, self.records, total, floor)
             chosen = (term for candidate in named for term in candidate.terms)
             columns = problem.columns([*self.analysis.search.prior.terms, *chosen, *chain(*map(_terms, ordinary))])
             design = problem.design_alone(columns)
@@ -129,7 +134,7 @@ class _Refit:
                 else:
                     break
             total = total_model(self.model, found)
-        return found, ordinary
+        return found, named, ordinary
 
     def _without_uncertain(self, sure: Sequence[Candidate]) -> TotalModel:
         """Total model without unsure effects: columns linearised at a delay that does not exist are wrong."""
@@ -139,17 +144,17 @@ class _Refit:
         return replace(total, effects=tuple(item for item in total.effects if item[:2] in places))
 
     def _ordinary_beside(self, sure: Sequence[Candidate]) -> list[_Ordinary]:
-        """All that ``identify`` finds if nothing is known of joints and sensors, or the default effects of all. Where
-        an effect is sure only default ones: others would share its size."""
+        """Ordinary effects, if nothing is known of joints and sensors: default ones in the shapes that ``identify``
+        finds; for a written model all that it finds."""
         if self.analysis.search.prior.identified or self.analysis.search.prior.terms:
             return []
-        places = self.model.places
+        places, given = self.model.places, dict(self.analysis.ordinary)
         default = {(effect.name, place): effect for effect in _DEFAULT for place in places.of(effect)}
+        shaped = {key: given.get(key, effect) for key, effect in default.items()}
         return [
             tuple(places.coefficients_at(effect, place))
-            for (_, place), effect in (dict(self.analysis.ordinary) or default).items()
-            if not (effect.name not in DEFAULT_EFFECTS and any(place == other.place for other in sure))
-            and not any(Candidate.of(effect, place).excludes(other) for other in sure)
+            for (_, place), effect in (shaped | given if self.as_identified else shaped).items()
+            if not any(Candidate.of(effect, place).excludes(other) for other in sure)
         ]
 
     def _fit(
@@ -163,7 +168,8 @@ class _Refit:
         names = self.analysis.effects
         prior = _with_ordinary(_as_given(self.analysis.search.prior, named), problem, named, ordinary)
         if not self.analysis.search.prior.identified:
-            return scattered(design, fit(design, prior, named, start))
+            default_stds = None if self.as_identified else self.analysis.search.prior.link_prior_stds
+            return scattered(design, fit(design, prior, named, start, default_stds))
         held = self.held
         tight = np.where(held, _UNCHANGED * prior.prior_std, names.prior_stds)
         result = scattered(design, fit(design, with_given_stds(prior, names.inflation), named, start, tight))
@@ -212,6 +218,12 @@ def _with_ordinary(
         values=np.append(prior.values, np.zeros(len(terms))),
         prior_stds=np.append(prior.prior_stds, prior_stds),
     )
+
+
+def _named(model: MeasurementModel, joint_fit: EffectsFit, candidate: Candidate) -> KnownEffect:
+    """Effect with a name in the form of files."""
+    places, parameters = model.places, library.parameters(model, joint_fit, candidate)
+    return KnownEffect(candidate.name, places.name(candidate.place), places.link(candidate.place), parameters)
 
 
 def _known(joint_fit: EffectsFit, ordinary: _Ordinary) -> KnownEffect:

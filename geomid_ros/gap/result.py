@@ -218,8 +218,8 @@ class GapSummary:
         findings: the named effects, the one that matters most first.
         links: those whose mass or first moment differs from the model, without payloads.
         unexplained: what no named effect explains.
-        ordinary: starting from a URDF, which has none of them: effects that ``identify`` finds, and friction, rotor
-            inertia and offsets of all joints, unless a sure finding excludes them.
+        ordinary: starting from a URDF, which has none: all effects of the written model, which are the sure ones and
+            those that ``identify`` finds, fitted together.
         located: variables that explain each channel's first remainder.
         ranking: all candidates, the best first.
         cutoff: of the low-pass in whose band noise and gap are [Hz].
@@ -281,6 +281,11 @@ class GapResult(GapSummary):
     def sure(self) -> tuple[Finding, ...]:
         """Findings that are in the written model."""
         return tuple(finding for finding in self.findings if finding.confidence == "confident")
+
+    @property
+    def added(self) -> tuple[KnownEffect, ...]:
+        """Effects of the written model that the given one has not, or has otherwise."""
+        return self.ordinary or self.sure
 
 
 def _said(quantity: Quantity) -> str:

@@ -141,7 +141,7 @@ def find_gap(
         inertias=result.inertias,
         coefficients=_coefficients(model, prior, named_terms),
         beside=tuple(known for candidate, known in placed_effects if not named_terms.issuperset(candidate.terms)),
-        ordinary=result.ordinary,
+        ordinary=result.effects,
         folded=after,
         newly_folded={key: change for key, change in changes.items() if key[0] in sure_joints},
         seconds=perf_counter() - started,

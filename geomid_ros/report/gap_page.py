@@ -129,7 +129,7 @@ def _content(page: GapPage) -> dict[str, Any]:
         ],
         "located": _located(result),
         "links": list(_links(page)),
-        "added": (*result.sure, *result.ordinary),
+        "added": result.added,
         "old": partial(_value_before, page.file.known),
         "script": Script.read(SCRIPT),
     }

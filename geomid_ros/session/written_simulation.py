@@ -60,7 +60,7 @@ def write_found(
     """
     refitted = session.loaded.refitted(session.model, result.coefficients, result.beside)
     noise = {"floor": by_channel(result.channels, result.corrected_floor), "cutoff": result.cutoff}
-    effects = [*(e for e in refitted.effects if not e.is_payload), *result.ordinary, *result.sure]
+    effects = [*(e for e in refitted.effects if not e.is_payload), *result.added]
     after = dict(zip(session.model.body_names, result.inertias, strict=True))
     fitted = _fitted_models(session, identified, result, after)
     shapes = mjcf_shapes(session.urdf, Path(session.source))
@@ -76,14 +76,7 @@ def _changed(
     folded: Mapping[tuple[str, str], float] = MappingProxyType({}),
 ) -> WrittenModel:
     """Apply the changes of the full model, with ``sure`` findings and newly ``folded`` ones, to the model of a
-    ``file``.
-
-    A link that cannot be lighter by the difference, as the file has a part of it elsewhere, gets the full inertia.
-    """
-    inertias = {}
-    for name, inertia in after.items():
-        changed = file.inertias.get(name, before[name]) + (inertia - before[name])
-        inertias[name] = changed if pseudo_inertia.is_body(changed) else inertia
+    ``file``."""
     effects = {(effect.effect, effect.joint): effect for effect in file.effects}
     findings = []
     for finding in sure:
@@ -91,7 +84,19 @@ def _changed(
         before_it = previous.parameters if previous else {}
         shifts = {name: before_it[name].value - was for name, was in finding.was.items() if name in before_it}
         findings.append(with_shifted_parameters(finding, shifts))
-    return WrittenModel(inertias, tuple(combined([*effects.values(), *findings])), folded)
+    return WrittenModel(_shifted(file, before, after), tuple(combined([*effects.values(), *findings])), folded)
+
+
+def _shifted(
+    file: WrittenModel, before: Mapping[str, FloatArray], after: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Inertias of a file's model, changed as those of the full model. A link that cannot be lighter by the difference,
+    as the file has a part of it elsewhere, gets the full inertia."""
+    inertias = {}
+    for name, inertia in after.items():
+        changed = file.inertias.get(name, before[name]) + (inertia - before[name])
+        inertias[name] = changed if pseudo_inertia.is_body(changed) else inertia
+    return inertias
 
 
 def _fitted_models(
@@ -104,13 +109,16 @@ def _fitted_models(
         before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
         given = session.loaded.fitted_models
         return {name: _changed(model, before, after, result.sure, result.newly_folded) for name, model in given.items()}
-    others = [finding for finding in result.sure if not issubclass(finding.cls, IdentifiedEffect)]
-    if not all(finding.is_payload for finding in others):
+    others = [effect for effect in result.added if not issubclass(effect.cls, IdentifiedEffect)]
+    if not all(effect.is_payload for effect in others):
         return {}
     estimate = identified.estimate
     links = {link.name: link.parameters for link in estimate.links} if others else after
     models = {reader: written_model(identified.session.model, estimate, reader) for reader in estimate.within}
-    return {reader: _changed(model, links, after, others) for reader, model in models.items()}
+    return {
+        reader: WrittenModel(_shifted(model, links, after), tuple(combined([*model.effects, *others])))
+        for reader, model in models.items()
+    }
 
 
 def nominal_inertias(session: Session) -> FloatArray:
@@ -151,7 +159,7 @@ def simulate_again(
     with TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
         _write(before, session, nominal_inertias(session), loaded.effects_in_samples)
-        _write(after, session, result.inertias, [*fitted.effects_in_samples, *result.ordinary, *result.sure])
+        _write(after, session, result.inertias, [*fitted.effects_in_samples, *result.added])
         robots, noise = (session.model, ModelFiles.of(before), ModelFiles.of(after)), ResidualNoise.of(result)
         simulations = [("", partial(resimulate, *robots, sharp, noise))]
         if commands:

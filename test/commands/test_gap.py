@@ -114,7 +114,7 @@ def test_what_identify_finds_is_printed_by_joint(capsys: pytest.CaptureFixture[s
     session = SimpleNamespace(review=review, notes=())
     found: Any = SimpleNamespace(result=result, session=session, handover=None, simulated=(), not_simulated="")
     show_gap(found)
-    table = capsys.readouterr().out.partition("that geomid identify finds, also in the written model")[2]
+    table = capsys.readouterr().out.partition("of the written model (sure ones, and those of identify)")[2]
     assert re.match(r"[^A-Z]*effort[^A-Z]*offset[^A-Z]*\[N m\][^A-Z]*joint1 +1.50 ± 0.10", table)
 
 
