@@ -122,7 +122,7 @@ def _other_effects_table(effects: Sequence[KnownEffect], title: str) -> Table:
     for effect in effects:
         names = lines(name.replace("_", " ") for name in effect.parameters)
         values = lines(map(gap_words.measured, effect.parameters.values()))
-        table.add_row(gap_words.headline(effect.effect), gap_words.place(effect.joint), names, values)
+        table.add_row(gap_words.headline(effect.effect), gap_words.place(effect.joint, effect.link), names, values)
     return table
 
 
