@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -108,6 +109,9 @@ def test_the_written_model_leaves_what_the_table_says(
     np.testing.assert_allclose(times, found.result.gap.after, rtol=0.05)
     if not case.names:
         return
+    file = EstimateFile.read(tmp_path / "found/estimate.json")
+    masses = {link["name"]: link["mass"] for link in file.document["links"]}
+    assert {link.name: link.mass for link in file.handover["urdf"].links} == masses, "identify absorbs a gain"
     assert found.handover is not None
     assert found.handover.corrected[JOINT] < 0.5 * found.handover.alone[JOINT], "an offset found is beside the file"
     again = geomid_ros.find_gap(bag, urdf, validate=unseen, model=tmp_path / "found/estimate.json")
@@ -224,14 +228,28 @@ def test_from_a_urdf_descriptions_are_those_that_identify_fits(recordings: tuple
             assert found_values == pytest.approx(values[1][key], rel=1e-3), (reader, key)
 
 
-def test_friction_that_only_a_description_has_counts_once(identified: Path, tmp_path: Path) -> None:
+def test_friction_that_only_a_description_has_counts_once(
+    recordings: tuple[Path, Path], identified: Path, tmp_path: Path
+) -> None:
     """The estimate may have another kind in its place."""
+    robot = ElementTree.parse(identified / "identified.urdf")
+    dynamics = robot.find(f"joint[@name='{JOINT}']/dynamics")
+    assert dynamics is not None
+    dynamics.set("damping", "2.0")
     document = json.loads((identified / "estimate.json").read_text())
-    document["effects"] = [e for e in document["effects"] if (e["name"], e["joint"]) != ("viscous_friction", JOINT)]
-    (tmp_path / "estimate.json").write_text(json.dumps(document))
-    (tmp_path / "identified.urdf").write_text((identified / "identified.urdf").read_text())
-    effects = read_model(tmp_path / "estimate.json", "urdf").effects
-    assert [(e.effect, e.joint) for e in effects].count(("viscous_friction", JOINT)) == 1
+    rest = [e for e in document["effects"] if (e["name"], e["joint"]) != ("viscous_friction", JOINT)]
+    urdf_rms = []
+    for name, effects in {"whole": document["effects"], "without": rest}.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "estimate.json").write_text(json.dumps({**document, "effects": effects}))
+        robot.write(folder / "identified.urdf")
+        read = [(effect.effect, effect.joint) for effect in read_model(folder / "estimate.json", "urdf").effects]
+        assert read.count(("viscous_friction", JOINT)) == 1
+        checked = geomid_ros.verify(folder / "estimate.json", recordings[1], folder / "identified.urdf")
+        urdf_rms.append(checked.rms[JOINT]["urdf"])
+    assert urdf_rms[0] == pytest.approx(urdf_rms[1], rel=1e-6)
+    assert urdf_rms[0] > 0.5, "it has damping, and the robot none"
 
 
 def test_beside_a_simulator_of_the_users_nothing_is_written_but_findings(

@@ -20,8 +20,8 @@ from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Quantity
-from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, Quantity
+from geomid_ros.model.effects.friction import CoulombFriction, QuadraticFriction, ViscousFriction
 from geomid_ros.model.effects.mounting import CarriedBody
 from geomid_ros.model.effects.situation import OnLink
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -158,6 +158,26 @@ def test_beside_a_urdf_joints_have_the_friction_that_every_joint_has(monkeypatch
         assert size.std < 0.1 * true
     assert {effect for effect, _ in values} <= {"viscous_friction", "coulomb_friction"}, "nothing else is there"
     assert np.max(result.gap.after) < 1.2
+
+
+def test_beside_a_urdf_the_written_model_has_what_identify_finds() -> None:
+    """Also where it has no name; a size is that of the name alone."""
+    quadratic = 0.07
+
+    def thick(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return planted.rigid(TRUE)(q, v, a) + np.array([1.0, 0.0, 0.0]) * v * (VISCOUS + quadratic * np.abs(v))
+
+    recorded = [planted.recording(thick, 3)], [planted.recording(thick, 1003, 15.0)]
+    given = {("quadratic_friction", AtJoint(0)): QuadraticFriction()}
+    without, result = find_gap(BARE, *recorded), find_gap(BARE, *recorded, ordinary=given)
+    assert [finding.effect for finding in result.sure] == ["viscous_friction"]
+    assert result.findings == without.findings
+    sizes = {(effect.effect, effect.joint): effect.parameters["coefficient"].value for effect in result.ordinary}
+    assert sizes == {
+        ("viscous_friction", JOINTS[0]): pytest.approx(VISCOUS, rel=0.02),
+        ("quadratic_friction", JOINTS[0]): pytest.approx(quadratic, rel=0.2),
+    }
+    assert result.gap.after[0] < 1.1 < without.gap.after[0]
 
 
 def test_the_file_predicts_as_well_as_an_identified_one(

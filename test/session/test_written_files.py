@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -102,6 +103,36 @@ def test_a_model_with_a_payload_is_that_of_its_own_description_and_of_the_given_
     nominal = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
     for link, own in (BODIES | {name: BODIES[name] + effect("payload", name, **PAYLOAD).body}).items():
         np.testing.assert_allclose(nominal[link], own, rtol=1e-12, err_msg=link)
+
+
+@pytest.mark.parametrize("other", ["payload", "effort_gain"])
+def test_from_a_urdf_a_file_is_that_of_identify_with_payloads_alone(tmp_path: Path, other: str) -> None:
+    """Of links that had it: the file's are lighter by as much. A gain is in all that ``identify`` finds: then the file
+    is the model."""
+    first, second, third = BODIES
+    given = gap_session(ARM, Configuration({}), "arm3.urdf")
+    session = given.again({"effects": ["viscous_friction"], "candidates": []})
+    coefficients = np.array([2.0, 3.0, 4.0])
+    loaded = {**BODIES, third: BODIES[third] + CUBE}
+    links = [SimpleNamespace(name=name, parameters=own) for name, own in loaded.items()]
+    within = {"urdf": np.concatenate([1.1 * loaded[first], loaded[second], loaded[third], coefficients])}
+    estimate = SimpleNamespace(links=links, within=within, parameters=within["urdf"], effects=())
+    sure = effect("payload", third, **PAYLOAD) if other == "payload" else effect("effort_gain", "joint1", gain=1.2)
+    friction = effect("viscous_friction", "joint2", coefficient=5.0)
+    result = found(given, BODIES, np.zeros(0), ordinary=(sure, friction))
+    identified: Any = SimpleNamespace(session=session, estimate=estimate)
+    write_found(tmp_path, given, result, identified=identified)
+    entry = EstimateFile.read(tmp_path / "estimate.json").handover["urdf"]
+    masses, damping = {link.name: link.mass for link in entry.links}, {e.joint: e.values for e in entry.effects}
+    own = {name: body[0] for name, body in BODIES.items()}
+    if other == "payload":
+        lighter = 1.1 * own[first], own[second], own[third]
+        assert masses == pytest.approx(dict(zip(BODIES, lighter, strict=True)))
+        assert [e.effect for e in entry.effects].count("payload") == 1
+        assert damping["joint2"]["coefficient"] == 3.0
+    else:
+        assert masses == pytest.approx(own)
+        assert damping["joint2"]["coefficient"] == 5.0
 
 
 def test_friction_that_shrinks_is_never_less_than_nothing() -> None:
