@@ -154,7 +154,7 @@ class _Refit:
         return [
             tuple(places.coefficients_at(effect, place))
             for (_, place), effect in (shaped | given if self.as_identified else shaped).items()
-            if not any(Candidate.of(effect, place).excludes(other) for other in sure)
+            if not any(other.includes(Candidate.of(effect, place)) for other in sure)
         ]
 
     def _fit(

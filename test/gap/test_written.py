@@ -21,7 +21,7 @@ from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, Quantity
-from geomid_ros.model.effects.friction import CoulombFriction, QuadraticFriction, ViscousFriction
+from geomid_ros.model.effects.friction import CoulombFriction, QuadraticFriction, StribeckFriction, ViscousFriction
 from geomid_ros.model.effects.mounting import CarriedBody
 from geomid_ros.model.effects.situation import OnLink
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -178,6 +178,23 @@ def test_beside_a_urdf_the_written_model_has_what_identify_finds() -> None:
         ("quadratic_friction", JOINTS[0]): pytest.approx(quadratic, rel=0.2),
     }
     assert result.gap.after[0] < 1.1 < without.gap.after[0]
+
+
+def test_the_written_model_is_fitted_to_reversals_too() -> None:
+    """Where names are not judged: what creeping shows stands beside the sure Coulomb friction, whose size it leaves."""
+    excess, slow = 0.4, StribeckFriction(0.034)
+
+    def creeping(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        level = np.array([0.0, 0.0, 1.0]) * (LEVEL + excess * np.exp(-((v / slow.speed) ** 2)))
+        return planted.rigid(TRUE)(q, v, a) + level * np.tanh(v / 0.02)
+
+    given = {("stribeck_friction", AtJoint(2)): slow, ("coulomb_friction", AtJoint(2)): CoulombFriction()}
+    result = find_gap(BARE, [planted.recording(creeping, 3)], [planted.recording(creeping, 1003, 15.0)], ordinary=given)
+    assert [(finding.effect, finding.joint) for finding in result.sure] == [("coulomb_friction", JOINTS[2])]
+    written = {effect.effect: effect.values for effect in result.ordinary if effect.joint == JOINTS[2]}
+    assert written["coulomb_friction"]["level"] == pytest.approx(LEVEL, rel=0.02)
+    assert written["stribeck_friction"]["excess"] == pytest.approx(excess, rel=0.2)
+    assert np.max(result.gap.after) < 1.2
 
 
 def test_the_file_predicts_as_well_as_an_identified_one(
