@@ -19,8 +19,9 @@ from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.effects_file import combined, write_sidecar
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.mjcf import mjcf, mjcf_shapes
-from geomid_ros.files.models.readers import URDF
+from geomid_ros.files.models.readers import URDF, with_same_files
 from geomid_ros.files.models.written_model import (
+    EFFECTS_FILE,
     ModelFiles,
     WrittenModel,
     with_shifted_parameters,
@@ -65,7 +66,17 @@ def write_found(
     fitted = _fitted_models(session, identified, result, after)
     shapes = mjcf_shapes(session.urdf, Path(session.source))
     files = {"folded": result.folded, "fitted": fitted, "reader": reader, "shapes": shapes}
-    return _write(folder, session, result.inertias, effects, noise=noise, **files)
+    written = _write(folder, session, result.inertias, effects, noise=noise, **files)
+    if identified is not None and (file := fitted.get(with_same_files(reader))) is not None:
+        known = combined(effects)
+        write_sidecar(folder / EFFECTS_FILE, session.robot.name, known, [_in_file(file, each) for each in known])
+    return written
+
+
+def _in_file(file: WrittenModel, effect: KnownEffect) -> KnownEffect:
+    """Effect with the values that a ``file`` has of it, if any."""
+    own = next((e for e in file.effects if (e.effect, e.location) == (effect.effect, effect.location)), effect)
+    return replace(effect, parameters={name: own.parameters.get(name, q) for name, q in effect.parameters.items()})
 
 
 def _changed(

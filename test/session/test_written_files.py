@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import yaml
 from files.effects import PAYLOAD, effect
 from files.gaps import gap_result
 from files.recordings import BAGS
@@ -125,6 +126,10 @@ def test_from_a_urdf_a_file_is_that_of_identify_with_payloads_alone(tmp_path: Pa
     entry = EstimateFile.read(tmp_path / "estimate.json").handover["urdf"]
     masses, damping = {link.name: link.mass for link in entry.links}, {e.joint: e.values for e in entry.effects}
     own = {name: body[0] for name, body in BODIES.items()}
+    beside = yaml.safe_load((tmp_path / "effects.yaml").read_text())["effects"]
+    (listed,) = (each for each in beside if each["effect"] == "viscous_friction")
+    assert listed["parameters"]["coefficient"]["value"] == 5.0
+    assert listed.get("alone") == ({"coefficient": 3.0} if other == "payload" else None)
     if other == "payload":
         lighter = 1.1 * own[first], own[second], own[third]
         assert masses == pytest.approx(dict(zip(BODIES, lighter, strict=True)))
