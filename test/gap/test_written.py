@@ -192,6 +192,7 @@ def test_the_written_model_is_fitted_to_reversals_too() -> None:
     result = find_gap(BARE, [planted.recording(creeping, 3)], [planted.recording(creeping, 1003, 15.0)], ordinary=given)
     assert [(finding.effect, finding.joint) for finding in result.sure] == [("coulomb_friction", JOINTS[2])]
     written = {effect.effect: effect.values for effect in result.ordinary if effect.joint == JOINTS[2]}
+    assert len(written) == sum(effect.joint == JOINTS[2] for effect in result.ordinary), "each is written once"
     assert written["coulomb_friction"]["level"] == pytest.approx(LEVEL, rel=0.02)
     assert written["stribeck_friction"]["excess"] == pytest.approx(excess, rel=0.2)
     assert np.max(result.gap.after) < 1.2
