@@ -189,11 +189,14 @@ def show_gap(found: geomid_ros.Gap) -> None:
 
 
 def _ordinary_tables(result: GapResult) -> Iterator[Table]:
+    """Tables of the effects of a model that is written from a URDF, in the order of the joints."""
+    places = {name: place for place, name in enumerate(result.channels)}
+    ordinary = sorted(result.ordinary, key=lambda effect: places.get(effect.joint, len(places)))
     effects = [
         EffectEstimate(name=effect.effect, joint=effect.joint, parameters=effect.parameters, from_data=1.0)
-        for effect in result.ordinary
+        for effect in ordinary
     ]
-    return _effects_tables(effects, result.ordinary, " of the written model (sure ones, and those of identify)")
+    return _effects_tables(effects, ordinary, " of the written model (sure ones, and those of identify)")
 
 
 def _print_file(console: Console, file: FileTest) -> None:

@@ -108,14 +108,17 @@ def test_the_written_model_has_what_was_found(found: tuple[Path, str]) -> None:
 
 
 def test_what_identify_finds_is_printed_by_joint(capsys: pytest.CaptureFixture[str]) -> None:
-    offset = KnownEffect("effort_offset", "joint1", "", {"offset": Quantity(1.5, 0.1, "N m")})
-    result = replace(gap_result("named", ["joint1", "joint2"]), ordinary=(offset,))
+    """In the order of the robot's joints, whichever was found first."""
+    sizes = {"joint2": 2.5, "joint1": 1.5}
+    offsets = [KnownEffect("effort_offset", name, "", {"offset": Quantity(v, 0.1, "N m")}) for name, v in sizes.items()]
+    result = replace(gap_result("named", ["joint1", "joint2"]), ordinary=tuple(offsets))
     review = SimpleNamespace(findings=(), warnings=tuple)
     session = SimpleNamespace(review=review, notes=())
     found: Any = SimpleNamespace(result=result, session=session, handover=None, simulated=(), not_simulated="")
     show_gap(found)
     table = capsys.readouterr().out.partition("of the written model (sure ones, and those of identify)")[2]
-    assert re.match(r"[^A-Z]*effort[^A-Z]*offset[^A-Z]*\[N m\][^A-Z]*joint1 +1.50 ± 0.10", table)
+    head = r"[^A-Z]*effort[^A-Z]*offset[^A-Z]*\[N m\][^A-Z]*"
+    assert re.match(head + r"joint1 +1.50 ± 0.10\s+joint2 +2.50 ± 0.10", table)
 
 
 @pytest.mark.usefixtures("found_only")
