@@ -38,7 +38,6 @@ _STD_OF_IDENTIFIED = 0.05  # of a link's inertia: replaces DEFAULT_PRIOR_STD, wh
 _STD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
 _LEAST_SHARE = 0.01  # fraction of the measurement: smaller coefficients are not known more accurately
 _CERTAINTY_OF_IDENTIFIED = 100.0  # an identified model is hardly ever as wrong as a URDF
-_LEAST_STD = 1e-3
 
 
 def find_gap(
@@ -102,9 +101,9 @@ def find_gap(
     _check_held_out(bare, unseen)
     prior = replace(_prior(model, nominal, deviations, previous), alike=alike)
     prior, placed_effects = _with_other_effects(bare, records, prior, other_effects)
-    prior = _with_least_stds(bare, records, prior)
     if simulated:
         prior, known_remainder = _as_simulated(bare, Records.make(simulated, cutoff), prior, progress), None
+    prior = _with_least_stds(bare, records, prior)
     analysis = analyse(bare, records, prior, progress, known_remainder, ordinary)
     progress("judging", 0.0)
     links = changed_links(bare, analysis)
@@ -235,7 +234,7 @@ def _prior(
     coefficients = np.nan_to_num(values[size:])
     present = np.flatnonzero(coefficients)
     strengths = coefficients[present]
-    changes = np.maximum(_STD_OF_EFFECTS * np.abs(strengths), _LEAST_STD)
+    changes = _STD_OF_EFFECTS * np.abs(strengths)
     if known is not None and len(known.changes):
         known = known.of_coefficients(present, changes)
     terms = tuple(EffectTerm.of(model.coefficients[place]) for place in present)
@@ -307,7 +306,7 @@ def _as_simulated(model: MeasurementModel, records: Records, prior: EffectsPrior
         inertias=inertias,
         terms=likely.terms,
         values=values,
-        prior_stds=np.maximum(_STD_OF_EFFECTS * np.abs(values), _LEAST_STD),
+        prior_stds=_STD_OF_EFFECTS * np.abs(values),
         other_recordings=None,
         alike=(),
     )

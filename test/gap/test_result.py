@@ -150,10 +150,10 @@ class TestPrior:
         prior = self.prior(values)
         assert prior.terms == tuple(EffectTerm(ViscousFriction(), AtJoint(joint)) for joint in (0, 1))
         np.testing.assert_allclose(prior.values, [0.5, -1e-4])
-        np.testing.assert_allclose(prior.prior_stds, [0.01, 1e-3])
+        np.testing.assert_allclose(prior.prior_stds, [0.01, 2e-6])
         unsure = np.full(MODEL.dimension, np.nan)
         unsure[len(MODEL.nominal_inertias)] = 0.4
-        np.testing.assert_allclose(self.prior(values, unsure).prior_stds, [0.4, 1e-3])
+        np.testing.assert_allclose(self.prior(values, unsure).prior_stds, [0.4, 2e-6])
 
     def test_only_what_is_small_may_change_by_a_small_share_of_what_is_measured(self) -> None:
         """Of a larger coefficient the change is to be named, whatever else the joint carries."""
