@@ -533,16 +533,16 @@ def by_channel(columns: FloatArray) -> FloatArray:
 
 def _curves(position: FloatArray, friction: FloatArray, predicted: FloatArray) -> FloatArray:
     """Columns of springs, cables and other friction laws, per prior standard deviation ``(N, C, 6)``."""
-    place = _standardised(position - np.mean(position, axis=0))
-    speed = _standardised(friction[:, :, 1])
+    place = standardised(position - np.mean(position, axis=0))
+    speed = standardised(friction[:, :, 1])
     sign = friction[:, :, 2]
-    load = np.abs(_standardised(predicted - np.mean(predicted, axis=0)))
+    load = np.abs(standardised(predicted - np.mean(predicted, axis=0)))
     bent, cubic = place**2 - 1.0, place**3 - 3.0 * place
     creeping = sign * np.exp(-(speed**2))
     return PRIOR_STD * np.stack([place, bent, cubic, speed * np.abs(speed), creeping, load * sign], axis=2)
 
 
-def _standardised(values: FloatArray) -> FloatArray:
+def standardised(values: FloatArray) -> FloatArray:
     """Divide values ``(N, C)`` by their standard deviations; zero where they are constant up to rounding."""
     deviations = np.std(values, axis=0)
     varied = deviations > ROUNDING * (1.0 + np.max(np.abs(values), axis=0, initial=0.0))

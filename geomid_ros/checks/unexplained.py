@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from geomid_ros.checks.causes import Cause
-from geomid_ros.checks.effort_data import EffortData, largest_of_unit, moving
+from geomid_ros.checks.effort_data import EffortData, largest_of_unit, moving, standardised
 from geomid_ros.checks.evidence import LEAST_SIGMA, MOST
 from geomid_ros.checks.sample_reservoir import FEWEST
 from geomid_ros.estimation.estimate import Predictor
@@ -86,8 +86,7 @@ def hint(subject: EffortData, joint: str, share: float) -> str:
         return _speed_hint(joint)
     for text, columns in _hints(subject, channel):
         unknown = np.zeros((*subject.measured.shape, columns.shape[1]))
-        sizes = np.maximum(np.std(columns, axis=0), np.finfo(float).tiny)
-        unknown[:, channel] = subject.measured_std[channel] * columns / sizes
+        unknown[:, channel] = subject.measured_std[channel] * standardised(columns)
         remaining[text] = (subject.evidence(unknown=unknown).sigmas[channel] / before) ** 2
     best, *others = sorted(remaining, key=lambda text: remaining[text])
     return best if remaining[best] < MOST * min([1.0, *(remaining[text] for text in others)]) else _ELSE

@@ -78,6 +78,16 @@ def test_what_is_planted_beside_links_and_friction_is_the_hint() -> None:
         assert said in hint(subject, names[1], float(subject.nominal.sigmas[1]))
 
 
+def test_a_joint_that_stands_still_has_a_hint() -> None:
+    of = case("arm3", 1)
+    samples = of.samples.select(slice(None, None, len(of.samples) // INSTANTS + 1))
+    still = {name: getattr(samples, name).copy() for name in ("position", "velocity", "acceleration")}
+    still["position"][:, 1], still["velocity"][:, 1], still["acceleration"][:, 1] = 0.3, 0.0, 0.0
+    noisy = samples.effort + 9.0 * np.eye(3)[1] * np.random.default_rng(0).normal(size=(len(samples), 1))
+    subject = EffortData.of_all(of.model.robot, replace(samples, **still, effort=noisy))
+    assert "check the axis and the sign" in hint(subject, subject.names[1], 1.0)
+
+
 def test_what_a_model_without_friction_leaves_is_the_friction_s() -> None:
     """Not what one leaves that has it, nor what is left of a coupling."""
     of = case("arm3", 1)
