@@ -356,7 +356,7 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
         prior_stds[link] = _HELD * search.prior.prior_std
         loss = fit(search.design, prior, names.chosen, names, prior_stds).score - free
         # The link may have changed without its mass.
-        odds_against = np.exp(-0.5 * min(loss, float(np.max(deviations**2)), 1e3)) / ODDS
+        odds_against = np.exp(-0.5 * np.clip(min(loss, float(np.max(deviations**2))), 0.0, 1e3)) / ODDS
         odds_against += analysis.contested if is_changed_link else 0.0
         probability = float(1.0 / (1.0 + odds_against))
         if probability >= LIKELY:
