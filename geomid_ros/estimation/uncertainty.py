@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
+from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.channel_products import triangular
 from geomid_ros.estimation.estimate import FINEST, LinksInformation, quantities_and_moments
@@ -235,10 +236,15 @@ def with_enlarged_prior(covariance: FloatArray, inherited: FloatArray) -> FloatA
 
 def information_inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
     """``(information + W)^-1`` for any weights above zero: rounding cannot make it indefinite."""
+    root = information_inverse_root(information, weights)
+    return np.asarray(root @ root.T)
+
+
+def information_inverse_root(information: FloatArray, weights: FloatArray) -> FloatArray:
+    """A matrix R ``(D, D)`` with ``R R^T = (information + W)^-1``: ``|R^T x|`` is the standard deviation of x."""
     units = np.sqrt(weights)
     values, vectors = np.linalg.eigh(information / np.outer(units, units))
-    vectors = vectors / units[:, None]
-    return np.asarray((vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T)
+    return np.asarray(vectors / units[:, None] / np.sqrt(1.0 + np.maximum(values, 0.0)))
 
 
 def _prior_part(scaled: FloatArray) -> float:
@@ -394,7 +400,11 @@ def stds_along_geodesics(
         drawn /= np.maximum(np.linalg.norm(drawn, axis=1, keepdims=True) / farthest, 1.0)
         moved = manifold.exp(prior, drawn.ravel())
         objective = ResidualObjective(manifold, augmented.T @ augmented, moved, prior_stds**-2.0, float(size))
-        minimum = trust_region(objective, point, least_decrease=LEAST_DECREASE).point
+        search = partial(trust_region, objective, least_decrease=LEAST_DECREASE)
+        try:
+            minimum = search(point).point
+        except LinAlgError:  # the drawn prior is too far away for finite numbers
+            minimum = search(moved).point
         numbers = quantities_and_moments(pseudo_inertia.to_parameters(minimum.pseudo_inertias))
         off.append(numbers - estimated)
         off[-1][:, _POSITIVE] = estimated[:, _POSITIVE] * np.log(numbers[:, _POSITIVE] / estimated[:, _POSITIVE])

@@ -26,7 +26,7 @@ from geomid_ros.estimation.posterior import Posterior, beyond_prior
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING_OF_PRODUCTS
-from geomid_ros.estimation.uncertainty import information_inverse
+from geomid_ros.estimation.uncertainty import information_inverse_root
 from geomid_ros.files.models.posterior import places_in
 from geomid_ros.geometry.spd import SIZE
 from geomid_ros.inference.prior import GAIN, PAYLOAD_PRIOR_STD, default_payload
@@ -226,4 +226,4 @@ def _std_of_data(posterior: Posterior, mass: int) -> float:
     weights = np.ones(len(beyond))
     weights[link] = ROUNDING_OF_PRODUCTS
     direction = posterior.prior_stds[link] * posterior.jacobian[mass, link]
-    return float(np.sqrt(direction @ information_inverse(beyond.T @ beyond, weights)[link, link] @ direction))
+    return float(np.linalg.norm(direction @ information_inverse_root(beyond.T @ beyond, weights)[link]))

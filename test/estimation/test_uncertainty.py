@@ -32,6 +32,8 @@ from geomid_ros.estimation.uncertainty import (
     error_covariance,
     estimate_uncertainty,
     estimated_prior_stds,
+    information_inverse,
+    information_inverse_root,
     physical_sensitivity,
     stds_along_geodesics,
     variance_inflation,
@@ -271,6 +273,25 @@ def test_deviations_along_geodesics_hold_a_body_far_from_a_placeholder() -> None
     off, linear, along = np.swapaxes([errors_of_a_small_ball(2.0, rng) for _ in range(8)], 0, 1)
     assert np.mean(np.abs(off) < 2.0 * linear) < 0.8
     assert np.mean(np.abs(off) < 2.0 * along) > 0.85
+
+
+def test_the_variance_of_what_is_known_well_is_not_lost_beside_what_is_not() -> None:
+    """``x' H^-1 x`` is the difference of huge numbers, and may become negative; the root keeps it."""
+    rng = np.random.default_rng(2)
+    known, weights = rng.standard_normal((3, 8)), np.full(8, 1e-12)
+    root = information_inverse_root(1e4 * known.T @ known, weights)
+    found = np.linalg.norm(known @ root, axis=1)
+    np.testing.assert_allclose(found, 1e-2, rtol=1e-4)
+    np.testing.assert_allclose(root @ root.T, information_inverse(1e4 * known.T @ known, weights))
+
+
+def test_a_prior_that_is_drawn_beyond_what_rounding_allows_is_where_the_search_begins() -> None:
+    """A body of which hardly anything is known, as a payload whose size is a guess."""
+    manifold, rows = ParameterManifold(1, 0, np.zeros(0)), 1e-6 * np.eye(10)
+    ball = manifold.point(np.array([1.0, 0.0, 0.0, 0.0, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3]))
+    far = manifold.exp(ball, 5.0 * np.random.default_rng(3).standard_normal(10))
+    along = stds_along_geodesics(ball, far, LinksInformation(rows, np.zeros(10)), np.full(10, 8.0))
+    assert np.all(np.isfinite(along))
 
 
 # --- what it says of an arm -----------------------------------------------------------------------------------------
