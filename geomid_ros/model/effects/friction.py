@@ -86,7 +86,7 @@ class CoulombFriction(JointEffect):
 
 SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
 """Grid of Stribeck speeds [rad/s or m/s]."""
-_TRIED = (0.03, 0.06, 0.12, 0.25)  # [rad/s or m/s]
+_TRIED = tuple(round(0.03 * 2.0 ** (half_octaves / 2), 4) for half_octaves in range(7))  # [rad/s or m/s]
 _CURVE = np.geomspace(SMOOTHINGS[0], 2.0 * SPEEDS[-1], 100)  # [rad/s or m/s]
 _LARGEST_EXCESS = 4.0  # in units of the friction of a fast joint
 
