@@ -223,7 +223,8 @@ def _with_ordinary(
 def _named(model: MeasurementModel, joint_fit: EffectsFit, candidate: Candidate) -> KnownEffect:
     """Effect with a name in the form of files."""
     places, parameters = model.places, library.parameters(model, joint_fit, candidate)
-    return KnownEffect(candidate.name, places.name(candidate.place), places.link(candidate.place), parameters)
+    sizes = {name: candidate.effect.between_motions(size) for name, size in candidate.effect.sizes(parameters).items()}
+    return KnownEffect(candidate.name, places.name(candidate.place), places.link(candidate.place), parameters | sizes)
 
 
 def _known(joint_fit: EffectsFit, ordinary: _Ordinary) -> KnownEffect:
@@ -232,7 +233,8 @@ def _known(joint_fit: EffectsFit, ordinary: _Ordinary) -> KnownEffect:
     found = zip(ordinary, _terms(ordinary), stds, strict=True)
     parameters = dict[str, Quantity]()
     for coefficient, term, std in found:
-        parameters |= coefficient.parameters(joint_fit.value(term), std)
+        value = joint_fit.value(term)
+        parameters |= coefficient.parameters(value, float(np.hypot(std, coefficient.effect.drift * value)))
     return KnownEffect(ordinary[0].effect.name, ordinary[0].place_name, "", parameters)
 
 

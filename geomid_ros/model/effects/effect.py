@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
@@ -167,6 +167,11 @@ class Effect(ABC):
         count = sum(part.count for part in self.parts)
         constants = {form.name for form in self.parameters[count:]} if count else set[str]()
         return {name: quantity for name, quantity in parameters.items() if name not in constants}
+
+    @classmethod
+    def between_motions(cls, size: Quantity) -> Quantity:
+        """Return a ``size`` whose std includes the drift between motions."""
+        return replace(size, std=float(np.hypot(size.std, cls.drift * size.value)))
 
     @classmethod
     def within_motion(cls, size: Quantity) -> float:
