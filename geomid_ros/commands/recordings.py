@@ -73,7 +73,7 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
         print_written(files, out, report=report)
         if is_open(result.result) and not result.session.robot.floating_base:
             arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--discriminate", out / "gap.json")
-            click.echo(f"To discriminate between the rivals: geomid excite {shlex.join(map(str, arguments))}")
+            click.echo(f"For a motion that tells what is still open: geomid excite {shlex.join(map(str, arguments))}")
     sys.exit(result.status)
 
 

@@ -47,8 +47,8 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # default prior std: a link with a larger fitted prior std is an outlier; one farther away has a warning
 _SPENT = (
-    "the solver ran out of steps before the prior stds of the links converged; masses are those of the last step; "
-    "check that the URDF is this robot's and in SI units, and the signs of the efforts"
+    "the solver ran out of steps before the prior stds of the links converged; masses are those of the last step: "
+    "more informative motion or a better URDF lets them converge"
 )
 WHITE_ROWS_PER_PERIOD = 1.79
 """Independent rows per period of the filter's cutoff if the noise is white and columns vary slowly: twice the filter's
