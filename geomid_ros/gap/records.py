@@ -192,12 +192,12 @@ class TotalModel:
                 scales[list(joints_of(place))] *= effect.effort_scale(effect.values(coefficients))
         return scales
 
-    def efforts(self, samples: Samples, *, behind_gears: bool = False) -> FloatArray:
-        """Joint efforts ``(N, J)`` due to the effects of motion, or only to those that act behind the gears."""
+    def efforts(self, samples: Samples) -> FloatArray:
+        """Joint efforts ``(N, J)`` due to the effects of motion."""
         return samples.efforts_of(
             (effect, place, float(coefficient))
             for effect, place, (coefficient, *_) in self.effects
-            if isinstance(effect, MotionEffect) and not (behind_gears and effect.before_gear)
+            if isinstance(effect, MotionEffect)
         )
 
 
@@ -208,7 +208,7 @@ def _load_terms(
     smooth = filtered(load, _SMOOTHER * cutoff, period)
     terms = {
         "predicted": load + total.efforts(part),
-        "transmitted": load + total.efforts(part, behind_gears=True),
+        "transmitted": load,
         **dict(zip(("load", "load_rate", "load_acceleration"), smooth, strict=True)),
     }
     return {name: values[index] for name, values in terms.items()}

@@ -145,7 +145,7 @@ class InverseDynamics:
         self._robot = robot
         gains = model.drive_gains[list(model.layout.efforts)]
         self._whole = _Motors(robot, inertias, motion_effects, gains)
-        self._gears = _Motors(robot, model.gear_inertias, model.gear_effects)
+        self._gears = _Motors(robot, model.gear_inertias, ())
         self._by_load: dict[LoadEffect, FloatArray] = {}
         for c, value in nonzero:
             if isinstance(c.effect, LoadEffect):

@@ -42,7 +42,6 @@ from geomid_ros.model.samples import (
     Samples,
     affected_joints,
     column_of,
-    entries_of,
 )
 from geomid_ros.types import FloatArray, IntArray
 
@@ -98,8 +97,6 @@ class MeasurementModel:
         """Names of the identified bodies."""
         self.gear_inertias = np.array([body.parameters for body in robot.bodies])
         """Parameters of all bodies ``(bodies, 10)`` from which gear loads are computed: the URDF's, or known ones."""
-        self.gear_effects: tuple[tuple[MotionEffect, Place, float], ...] = ()
-        """Known effects on the link side of the gears, as (effect, place, coefficient); they add to the gear loads."""
         self.legs = Legs(robot, contacts) if contacts else None
         """Legs, if ground forces are computed from their efforts; else None."""
         self._check_sensors()
@@ -180,19 +177,13 @@ class MeasurementModel:
         return self._replaced(robot=robot, legs=self.legs and Legs(robot, self.legs.contacts))
 
     def with_known_loads(self, known: FloatArray | None) -> MeasurementModel:
-        """Return the model with gear loads from ``known (D,)`` parameters, NaN where unknown. The loads are the efforts
-        of the links (the URDF's where unknown) and of known effects on the link side of the gears."""
+        """Return the model with gear loads from the links of ``known (D,)`` parameters, the URDF's where NaN."""
         if known is None:
             return self
         first, loading = 10 * len(self.identified), self.gear_inertias.copy()
         inertias = np.where(np.isfinite(known[:first]), known[:first], self.nominal_inertias)
         loading[list(self.identified)] = inertias.reshape(-1, 10)
-        resisting = tuple(
-            (c.effect, c.place, float(value))
-            for c, value in zip(self.coefficients, known[first:], strict=True)
-            if isinstance(c.effect, MotionEffect) and not c.effect.before_gear and np.isfinite(value)
-        )
-        return self._replaced(gear_inertias=loading, gear_effects=resisting)
+        return self._replaced(gear_inertias=loading)
 
     def with_drive_gains(self, gains: FloatArray) -> MeasurementModel:
         """Return the model in which the efforts of the links are measured ``gains (channels,)`` times what they are in
@@ -381,11 +372,8 @@ class MeasurementModel:
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
-        """Compute gear loads ``(N, J)`` from the known bodies and effects."""
+        """Compute gear loads ``(N, J)`` from the known bodies."""
         loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self.gear_inertias)
-        if self.gear_effects and self.layout.efforts:
-            entries, strengths = self._of_resistance
-            loads += samples.values_of(entries) @ strengths
         return self.with_ground(samples, loads)
 
     def with_ground(self, samples: Samples, loads: FloatArray) -> FloatArray:
@@ -470,11 +458,6 @@ class MeasurementModel:
     def _axes(self, place: Place) -> list[str]:
         """Return the axes of a place at a sensor."""
         return [self.channels[channel].axis for channel in place.channels] if isinstance(place, AtSensor) else []
-
-    @cached_property
-    def _of_resistance(self) -> tuple[Entries, FloatArray]:
-        """Entries of the known resisting effects, and all joints' efforts per unit of each ``(entries, joints)``."""
-        return entries_of(self.gear_effects, len(self.layout.efforts))
 
     def columns_of(
         self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int

@@ -133,8 +133,8 @@ class WrittenRobot:
         """Friction ``(..., J)`` that only the sidecar contains: the decrease of Stribeck friction with speed, the
         friction by load, and other functions of the motion.
 
-        Let u be the motor's effort minus all other friction and the rotor's inertia. A gear that transmits tau has
-        ``u = tau + c |tau| s`` with the direction of motion s.
+        Let u be the motor's effort minus all other friction, the spring and the rotor's inertia. A gear that transmits
+        tau to the links has ``u = tau + c |tau| s`` with the direction of motion s.
         """
         velocity = motion.velocity
         sign = SMOOTH_SIGN.values(motion)
@@ -143,7 +143,8 @@ class WrittenRobot:
             by_motion += effect.efforts_not_in_mjcf(values, motion, place)
         model, dofs = self.model, self.dofs
         dry = model.dof_frictionloss[dofs] - self._load_friction * self._mean_load
-        other = model.dof_damping[dofs] * velocity + dry * sign + by_motion
+        spring = model.jnt_stiffness[dofs] * (motion.position - model.qpos_spring[dofs])
+        other = model.dof_damping[dofs] * velocity + dry * sign + spring + by_motion
         arriving = true_effort - other - np.where(self.prescribed, 0.0, model.dof_armature[dofs]) * motion.acceleration
         along = np.sign(arriving) * sign
         transmitted = np.abs(arriving) / (1.0 + self._load_friction * along)

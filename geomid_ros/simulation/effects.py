@@ -92,7 +92,8 @@ def _backlash(parameters: Parameters, at: Places, q: list[float], v: list[float]
 FORCES: dict[str, Force] = by_name(_cogging, _cable_force, _joint_coupling, _backlash)
 
 Level = Callable[[Parameters, float, float, float], float]
-"""Function for the magnitude [N m] of dry friction, by parameters, joint position, velocity and motor effort.
+"""Function for the magnitude [N m] of dry friction, by parameters, joint position, velocity and the motor effort that
+other friction leaves.
 
 Within about 0.03 rad/s of standstill, friction is whatever stops the joint."""
 
@@ -117,6 +118,8 @@ def _position_friction(parameters: Parameters, position: float, _velocity: float
     return parameters["level"] * (1.0 + parameters["modulation"] * wave)
 
 
+BY_LOAD = {"load_friction"}
+"""Friction that depends on the effort."""
 FRICTION: dict[str, Level] = by_name(_coulomb_friction, _stribeck_friction, _load_friction, _position_friction)
 
 

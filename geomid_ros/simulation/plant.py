@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
@@ -12,7 +13,17 @@ import numpy as np
 
 from geomid_ros.errors import refusing, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, set_inertia
-from geomid_ros.simulation.effects import FORCES, FRICTION, MODEL, STRUCTURE, Places, TrueEffect, play_name, wind_up
+from geomid_ros.simulation.effects import (
+    BY_LOAD,
+    FORCES,
+    FRICTION,
+    MODEL,
+    STRUCTURE,
+    Places,
+    TrueEffect,
+    play_name,
+    wind_up,
+)
 from geomid_ros.simulation.options import GEARS
 from geomid_ros.types import FloatArray, IntArray
 
@@ -41,7 +52,9 @@ class Simulator(ABC):
             (effect, Places(*(index.get(name, -1) for name in (effect.joint, effect.other, play_name(effect.joint)))))
             for effect in effects
         ]
-        self._frictions = [(effect, at.joint) for effect, at in places if effect.name in FRICTION]
+        frictions = [(effect, at.joint) for effect, at in places if effect.name in FRICTION]
+        self._frictions = sorted(frictions, key=lambda friction: friction[0].name in BY_LOAD)  # of what others leave
+        self._viscous = {at.joint: e.parameters["coefficient"] for e, at in places if e.name == "viscous_friction"}
         self._forces = [(effect, at) for effect, at in places if effect.name in FORCES]
         self._gears = [(effect, at) for effect, at in places if effect.name in GEARS]
         self._places = places
@@ -62,7 +75,9 @@ class Simulator(ABC):
         levels = np.zeros(len(position))
         motors = self.driven.tolist()
         for effect, at in self._frictions:
-            state = float(position[at]), float(velocity[at]), float(effort[motors.index(at)])
+            speed = float(velocity[at])
+            other = math.copysign(levels[at], speed) + self._viscous.get(at, 0.0) * speed
+            state = float(position[at]), speed, float(effort[motors.index(at)]) - other
             levels[at] += FRICTION[effect.name](effect.parameters, *state)
         return levels
 

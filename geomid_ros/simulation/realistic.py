@@ -24,7 +24,7 @@ from geomid_ros.simulation.description import (
     robot_description,
 )
 from geomid_ros.simulation.effect_sizes import chosen_effects
-from geomid_ros.simulation.effects import FRICTION, TrueEffect, noiseless_measurement
+from geomid_ros.simulation.effects import BY_LOAD, FRICTION, TrueEffect, noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import GEARS, LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
@@ -261,11 +261,14 @@ class RealisticRobot(TrueRobot):
     def dry(self, velocity: FloatArray, position: FloatArray, effort: FloatArray) -> FloatArray:
         """Dry friction ``(n,)`` of steady sliding, including hidden friction [N m]."""
         level = self.friction.sliding(velocity)
-        for effect in self.effects:
+        for effect in sorted(self.effects, key=lambda effect: effect.name in BY_LOAD):  # of what others leave
             if effect.name in FRICTION:
                 index = self.plant.joints.index(effect.joint)
-                state = float(position[index]), float(velocity[index]), float(effort[index])
-                level[index] += FRICTION[effect.name](effect.parameters, *state)
+                speed = float(velocity[index])
+                other = np.copysign(level[index], speed) + self.friction.viscous[index] * speed
+                level[index] += FRICTION[effect.name](
+                    effect.parameters, float(position[index]), speed, float(effort[index] - other)
+                )
         return level
 
     def controlled(self, controller: JointController, step: float) -> ControlLoop:

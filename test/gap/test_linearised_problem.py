@@ -160,8 +160,8 @@ def test_the_variance_of_a_prediction_is_that_of_its_parameters() -> None:
     np.testing.assert_allclose(problem.variance(found), expected, rtol=1e-4)
 
 
-def test_dry_friction_of_several_effects_adds_up_and_that_by_load_is_of_all_that_the_gear_transmits() -> None:
-    """Of viscous friction, too; instants are unsure by the floor, and none is without one."""
+def test_dry_friction_of_several_effects_adds_up_and_that_by_load_is_of_the_links() -> None:
+    """Not of viscous friction; instants are unsure by the floor, and none is without one."""
     records = Records.make([exact()], planted.CUTOFF)
     dry: list[tuple[Effect, AtJoint, np.ndarray]] = [
         (CoulombFriction(smoothing), AtJoint(0), np.array([size])) for smoothing, size in ((0.02, 9.0), (0.003, -0.3))
@@ -170,7 +170,7 @@ def test_dry_friction_of_several_effects_adds_up_and_that_by_load_is_of_all_that
     total = replace(total, effects=(*total.effects, *dry))
     problem = LinearisedProblem(MODEL, records, total)
     _, q, v, a = planted.motion(3, SECONDS)
-    loads = 0.2 * np.abs(RIGID(q, v, a) + [0.0, 0.5, 0.0] * v)[records.chosen[0], 1]
+    loads = 0.2 * np.abs(RIGID(q, v, a))[records.chosen[0], 1]
     np.testing.assert_allclose(problem._dry_friction[:, 0], 9.3)
     np.testing.assert_allclose(problem._dry_friction[:, 1], loads, atol=1e-9)
     assert not np.any(problem._dry_friction[:, 2])

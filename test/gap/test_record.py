@@ -145,7 +145,7 @@ def test_efforts_of_a_model_are_those_of_all_its_effects_of_motion() -> None:
 
 
 def test_the_situation_is_that_of_the_total_model() -> None:
-    """The gears transmit efforts of rigid bodies and friction; a motor's own inertia is predicted beside these."""
+    """The gears transmit the efforts of rigid bodies; friction and a motor's own inertia are predicted beside these."""
     inertias = planted.true_inertias(4, 0.2)
     rigid = planted.rigid(inertias)
     recorded = planted.recording(rigid, 4, 12.0, noise=0.0)
@@ -159,9 +159,9 @@ def test_the_situation_is_that_of_the_total_model() -> None:
     load = rigid(q, v, a)[chosen]
     # The load is smoothed at half the filter's cutoff, which these motions are below.
     np.testing.assert_allclose(situation.load[5:-5], load[5:-5], atol=0.02 * np.std(load))
-    np.testing.assert_allclose(situation.transmitted, load + [0.0, 0.7, 0.0] * v[chosen], atol=1e-9)
-    of_motors = situation.predicted - situation.transmitted
-    np.testing.assert_allclose(of_motors, [0.0, 0.0, 0.3] * a[chosen], atol=1e-9)
+    np.testing.assert_allclose(situation.transmitted, load, atol=1e-9)
+    beside = situation.predicted - situation.transmitted
+    np.testing.assert_allclose(beside, [0.0, 0.7, 0.0] * v[chosen] + [0.0, 0.0, 0.3] * a[chosen], atol=1e-9)
     times = np.arange(len(q)) / planted.RATE
     slope = np.gradient(rigid(q, v, a), times, axis=0)[chosen]
     np.testing.assert_allclose(situation.load_rate[5:-5], slope[5:-5], atol=0.05 * np.std(slope))

@@ -281,16 +281,16 @@ def test_friction_that_has_grown_is_named_with_what_it_was_and_keeps_its_shape()
     np.testing.assert_allclose(result.coefficients, np.where(unchanged, before, np.nan), rtol=0.1)
 
 
-def test_friction_in_proportion_to_the_effort_is_of_that_of_other_friction_too() -> None:
-    """At an axis that gravity does not load most of what a gear transmits is friction behind it."""
+def test_friction_in_proportion_to_the_load_is_of_that_of_the_links_as_identify_takes_it() -> None:
+    """Not of other friction, though at an axis that gravity does not load that is most of the effort."""
     inertias = planted.true_inertias(73, 0.03)
     robot = planted.rigid(inertias)
     model = MeasurementModel(planted.model().robot, [ViscousFriction()])
     viscous = np.array([1.5, 0.3, 0.2])
 
     def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        passed = robot(q, v, a) + viscous * v
-        return passed + np.array([0.2, 0.0, 0.0]) * np.abs(passed) * np.sign(v)
+        links = robot(q, v, a)
+        return links + viscous * v + np.array([0.2, 0.0, 0.0]) * np.abs(links) * np.sign(v)
 
     result = run(efforts, 73, model, nominal=np.append(inertias.ravel(), viscous))
     (finding,) = result.sure

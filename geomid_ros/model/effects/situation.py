@@ -150,7 +150,7 @@ class Situation(Sensitivity):
         sign: direction of motion ``(N, J)``.
         predicted: predicted channels, effects included ``(N, C)``.
         load, load_rate, load_acceleration: efforts that move the rigid bodies, and their time derivatives ``(N, J)``.
-        transmitted: gear loads ``(N, J)``: the same efforts plus friction and springs on the link side of the gears.
+        transmitted: gear loads ``(N, J)``: efforts of the rigid bodies and, for standing legs, of the ground.
         gravity: gravity in the frame of a level base ``(3,)`` [m/s^2].
         coefficients: coefficients of the model's effects, by the effect's name and place.
         from_load_history: applies a function to the load's history; returns its :data:`Derivatives` at the N samples.
