@@ -268,9 +268,9 @@ def _steps(fit: Fit, products: FloatArray, first: FloatArray | None = None) -> F
 
 
 def held_columns(model: MeasurementModel, columns: IntArray, elements: Collection[str]) -> IntArray:
-    """Columns among ``columns`` that a file with these ``elements`` holds, with errors of sensors; effects in their
-    default shape, because no file can hold another."""
-    held = {model.usual_shapes[c.mechanism] for c in _coefficients(model, columns) if _is_held(c, elements)}
+    """Columns among ``columns`` that a file with these ``elements`` holds, with errors of sensors; effects in the shape
+    of a description, because no file can hold another."""
+    held = {model.described_shapes[c.mechanism] for c in _coefficients(model, columns) if _is_held(c, elements)}
     return np.append(columns[columns < len(model.nominal_inertias)], sorted(held)).astype(np.int64)
 
 

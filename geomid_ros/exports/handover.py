@@ -24,7 +24,7 @@ from geomid_ros.files.schema import attributes_entry
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, Effect, KnownEffect, MotionEffect, Place
 from geomid_ros.model.effects.situation import pair_name, place_named
-from geomid_ros.model.measurement_model import MeasurementModel
+from geomid_ros.model.measurement_model import MeasurementModel, slides
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.urdf_tree import read_xml
@@ -53,7 +53,7 @@ class ReadBack:
 
     def efforts(self, robot: Robot, samples: Samples) -> FloatArray:
         """Joint efforts ``(N, joints)`` due to the attributes, and to another gravity than the ``robot``'s."""
-        efforts = samples.efforts_of(self._terms(robot.joint_names))
+        efforts = samples.efforts_of(self._terms(robot))
         if self.gravity is None:
             return efforts
         bodies = np.array([self.inertias[name] for name in robot.body_names])
@@ -62,9 +62,10 @@ class ReadBack:
         by_gravity = robot.efforts_by_gravity(model, model.createData(), robot.configuration(samples)[0], change)
         return efforts + by_gravity[:, :, 0]
 
-    def _terms(self, joints: Sequence[str]) -> Iterator[tuple[MotionEffect, Place, float]]:
-        """Yield the effects that the attributes stand for, with their places and coefficients."""
-        used = set[str]()
+    def _terms(self, robot: Robot) -> Iterator[tuple[MotionEffect, Place, float]]:
+        """Yield the effects that the attributes stand for, with their places and coefficients, in the shape of
+        :attr:`MeasurementModel.described_shapes`."""
+        used, joints = set[str](), robot.joint_names
         for cls in (effect for effect in EFFECTS.values() if issubclass(effect, MotionEffect)):
             places = {form.name: form.place_in(ELEMENTS[self.reader]) for form in cls.parameters}
             sizes = {places[form.name] for form in cls.grid()[0].column_parameters if places[form.name]}
@@ -73,14 +74,18 @@ class ReadBack:
                 for name in {name for name, at in self.attributes if at in sizes}:
                     values = {key: self.attributes.get((name, place), 0.0) for key, place in places.items()}
                     where = place_named(cls.place, name, joints)
-                    yield from _parts(cls, values, where) if where is not None else ()
+                    if where is not None and any(values.values()):
+                        yield from _parts(cls, values, where, sharp=slides(robot, where))
 
 
-def _parts(cls: type[Effect], values: Mapping[str, float], place: Place) -> Iterator[tuple[MotionEffect, Place, float]]:
-    if any(values.values()):
-        for part, (coefficient, *_) in cls.coefficients(values).items():
-            if isinstance(part, MotionEffect):
-                yield part, place, coefficient
+def _parts(
+    cls: type[Effect], values: Mapping[str, float], place: Place, *, sharp: bool
+) -> Iterator[tuple[MotionEffect, Place, float]]:
+    name = cls.default_constant
+    shape = {name: getattr(cls.grid()[0], name)} if name and sharp else {}
+    for part, (coefficient, *_) in cls.coefficients({**values, **shape}).items():
+        if isinstance(part, MotionEffect):
+            yield part, place, coefficient
 
 
 def read_urdf_back(robot: Robot, reader: str, beside: Mapping[str, str] = MappingProxyType({})) -> ReadBack:

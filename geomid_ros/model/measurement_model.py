@@ -30,6 +30,7 @@ from geomid_ros.model.effects import (
     Place,
     SensorEffect,
     joint_of,
+    joints_of,
 )
 from geomid_ros.model.moving_base import Contact, Legs
 from geomid_ros.model.robot import Robot
@@ -52,6 +53,11 @@ class Rows:
 
     coefficients: FloatArray
     targets: FloatArray
+
+
+def slides(robot: Robot, place: Place) -> bool:
+    """True if a joint of a place slides: its speeds are in m/s."""
+    return any(robot.joints[joint].unit == "N" for joint in joints_of(place))
 
 
 class MeasurementModel:
@@ -249,6 +255,17 @@ class MeasurementModel:
             for mechanism, several in instances.items()
         }
 
+    @cached_property
+    def described_shapes(self) -> dict[Mechanism, int]:
+        """Index among the D parameters of each mechanism in the shape that a robot description means: the usual one;
+        the sharpest for sliding joints, whose speeds may be no larger than the usual one's smoothing."""
+        sharpest: dict[Mechanism, tuple[float, int]] = {}
+        for parameter, c in self._numbered:
+            if slides(self.robot, c.place) and c.effect.default_constant and not c.effect.constant:
+                shape = float(getattr(c.effect, c.effect.default_constant)), parameter
+                sharpest[c.mechanism] = min(shape, sharpest.get(c.mechanism, shape))
+        return self.usual_shapes | {mechanism: parameter for mechanism, (_, parameter) in sharpest.items()}
+
     @property
     def described_coefficients(self) -> FloatArray:
         """Value of each coefficient in the URDF's ``<dynamics>`` ``(coefficients,)``; zero where there is none."""
@@ -259,9 +276,9 @@ class MeasurementModel:
 
     @property
     def described_parameters(self) -> FloatArray:
-        """Parameters ``(D,)`` of the URDF: its inertias, and its ``<dynamics>`` as effects in their usual shape."""
+        """Parameters ``(D,)`` of the URDF: its inertias, and its ``<dynamics>`` as effects in the shape of these."""
         described = np.append(self.nominal_inertias, self.described_coefficients)
-        held = [*range(len(self.nominal_inertias)), *self.usual_shapes.values()]
+        held = [*range(len(self.nominal_inertias)), *self.described_shapes.values()]
         return np.where(np.isin(np.arange(self.dimension), held), described, 0.0)
 
     def manifold(self, scales: FloatArray) -> ParameterManifold:

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from files.recordings import BAGS, QUICK
-from model.robots import urdf, with_values
+from model.robots import random_samples, urdf, with_values
 from model.test_contacts import bent
 
 import geomid_ros
@@ -37,6 +37,8 @@ from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import for_drake, with_inertials
 from geomid_ros.files.models.written_model import written_model
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
+from geomid_ros.model.effects.friction import SMOOTHINGS, CoulombFriction, ViscousFriction
+from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
@@ -332,6 +334,22 @@ def predicted_by(read: ReadBack, samples: Samples) -> FloatArray:
     model = found().session.model
     _, predicted = model.predict(samples, read.parameters(model))
     return predicted[:, model.layout.efforts] + read.efforts(model.robot, samples)
+
+
+def test_dry_friction_of_a_slide_is_sharp_in_files() -> None:
+    """It may slide no faster than the usual smoothing. Fitted and loaded in one shape, that of a turning joint is its
+    usual one."""
+    text = (BAGS / "arm3.urdf").read_text().replace('name="joint3" type="revolute"', 'name="joint3" type="prismatic"')
+    robot = Robot(text)
+    read = ReadBack("mujoco", {}, {("joint2", "joint/frictionloss"): 2.0, ("joint3", "joint/frictionloss"): 3.0})
+    speeds = np.outer(np.linspace(-0.03, 0.03, 7), np.ones(3))
+    samples = with_values(random_samples(robot, 1, count=7), velocity=speeds)
+    sharp, usual = np.tanh(speeds[:, 0] / SMOOTHINGS[0]), np.tanh(speeds[:, 0] / CoulombFriction.smoothing)
+    np.testing.assert_allclose(read.efforts(robot, samples), np.column_stack([0.0 * usual, 2.0 * usual, 3.0 * sharp]))
+    model = MeasurementModel(robot, [ViscousFriction()], candidates=CoulombFriction.grid())
+    effects = [model.coefficients[k - len(model.nominal_inertias)].effect for k in model.described_shapes.values()]
+    dry = [effect.smoothing for effect in effects if isinstance(effect, CoulombFriction)]
+    assert dry == [CoulombFriction.smoothing, CoulombFriction.smoothing, SMOOTHINGS[0]]
 
 
 @pytest.mark.parametrize("ratio", [1.0, -1.0])
