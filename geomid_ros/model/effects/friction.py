@@ -192,11 +192,11 @@ class StribeckFriction(JointEffect):
 
 
 class LoadFriction(LoadEffect):
-    """Friction proportional to the gear load: effort ``c |tau| sign(v)``."""
+    """Friction proportional to the gear load: effort ``c |tau| sign(v)``, tau the effort of the links alone."""
 
     name = "load_friction"
     label = "load-dependent friction"
-    meaning = "effort coefficient |tau| sign(v)"
+    meaning = "effort coefficient |tau| sign(v), tau the effort of the links alone"
     parameters = (ParameterForm("coefficient", ("-", "-"), above=0.0, below=1.0),)
     settled_by = "the same motion with and without a known payload"
     drift = FRICTION_DRIFT
