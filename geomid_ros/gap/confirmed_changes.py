@@ -20,7 +20,13 @@ from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPri
 from geomid_ros.gap.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.records import Records, TotalModel
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
-from geomid_ros.gap.verdict import moment_without_mass, probability_by_size, widened_by_remainder, with_given_stds
+from geomid_ros.gap.verdict import (
+    moment_without_mass,
+    probability_by_size,
+    spread_by_ordinary,
+    widened_by_remainder,
+    with_given_stds,
+)
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
@@ -93,7 +99,7 @@ def confirmed_changes(
         inertias = np.where(refit.held[:, None], prior.inertias.reshape(-1, 10), refitted.inertias)
         return ConfirmedChanges(refitted, inertias, likely, likely_links, ())
     written, named, ordinary = replace(refit, as_identified=True).found(sure)
-    effects = *(_named(model, written, each) for each in named), *(_known(written, each) for each in ordinary)
+    effects = *(_named(analysis, written, each) for each in named), *(_known(written, each) for each in ordinary)
     return ConfirmedChanges(written, written.inertias, likely, likely_links, effects)
 
 
@@ -220,11 +226,15 @@ def _with_ordinary(
     )
 
 
-def _named(model: MeasurementModel, joint_fit: EffectsFit, candidate: Candidate) -> KnownEffect:
+def _named(analysis: Analysis, joint_fit: EffectsFit, candidate: Candidate) -> KnownEffect:
     """Effect with a name in the form of files."""
-    places, parameters = model.places, library.parameters(model, joint_fit, candidate)
-    sizes = {name: candidate.effect.between_motions(size) for name, size in candidate.effect.sizes(parameters).items()}
-    return KnownEffect(candidate.name, places.name(candidate.place), places.link(candidate.place), parameters | sizes)
+    model, effect = analysis.problem.model, candidate.effect
+    parameters, spread = library.parameters(model, joint_fit, candidate), spread_by_ordinary(analysis, candidate)
+    for name, size in effect.sizes(parameters).items():
+        lasting = effect.between_motions(size)
+        parameters[name] = replace(lasting, std=float(np.hypot(lasting.std, spread[name])))
+    places = model.places
+    return KnownEffect(candidate.name, places.name(candidate.place), places.link(candidate.place), parameters)
 
 
 def _known(joint_fit: EffectsFit, ordinary: _Ordinary) -> KnownEffect:

@@ -123,8 +123,8 @@ def widened(
     candidate: Any, sizes: dict[str, Quantity], separable: float, *, identified: bool, of_remainder: float = 0.1
 ) -> dict[str, Quantity]:
     """Sizes of a new effect with the doubt of the remainder."""
-    search = SimpleNamespace(prior=SimpleNamespace(identified=identified))
-    analysis: Any = SimpleNamespace(search=search, supports={candidate: SimpleNamespace(relative_std=of_remainder)})
+    search, support = SimpleNamespace(prior=SimpleNamespace(identified=identified)), {"relative_std": of_remainder}
+    analysis: Any = SimpleNamespace(search=search, supports={candidate: SimpleNamespace(**support)}, with_ordinary=())
     return verdict.widened_by_remainder(analysis, candidate, sizes, {}, separable)
 
 

@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from estimation.frames import rewritten
 from scipy.interpolate import CubicSpline
@@ -298,6 +299,26 @@ def test_friction_in_proportion_to_the_load_is_of_that_of_the_links_as_identify_
     size = finding.parameters["coefficient"]
     assert size.value == pytest.approx(0.2, abs=0.02)
     assert size.std == pytest.approx(LoadFriction.drift * 0.2, rel=0.2), "in another motion it is another"
+
+
+@pytest.mark.parametrize("offset", [0.0, -4.0])
+def test_a_size_that_an_offset_may_change_is_as_unsure(offset: float) -> None:
+    """At a vertical slide it is a weight, as far as anyone can tell: the rest of the inertia is the motor's."""
+    text = (planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")
+    robot = Robot(text.replace('name="joint1" type="revolute"', 'name="joint1" type="prismatic"'))
+    dynamics = robot.with_inertias(np.array([body.parameters for body in robot.bodies]), range(3))
+    data, rotor = dynamics.createData(), 5.0
+
+    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        links = np.array([pin.rnea(dynamics, data, *row) for row in zip(q, v, a, strict=True)])
+        return links + np.array([1.0, 0.0, 0.0]) * (rotor * a + offset)
+
+    result = run(efforts, 5, MeasurementModel(robot, ()))
+    (size,) = [f.parameters["inertia"] for f in result.findings if (f.effect, f.joint) == ("rotor_inertia", JOINTS[0])]
+    (written,) = [e.parameters["inertia"] for e in result.ordinary if e.effect == "rotor_inertia"]
+    for quantity in (size, written):
+        assert abs(quantity.value - rotor) < 3.0 * quantity.std
+        assert quantity.std > 0.1, "a mass of the URDF is known to a fifth"
 
 
 def test_friction_that_follows_reversals_late_is_no_delay() -> None:
