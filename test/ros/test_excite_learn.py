@@ -50,6 +50,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 def test_without_execute_and_without_consent_nothing_moves(stage: Stage) -> None:
     commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
     heard, planned = stage.observer.collect(JointState, "/joint_states"), ("--out", stage.folder / "planned")
+    stage.observer.wait_for(lambda: bool(heard), "the robot's states")
     process = learn(stage, *planned)
     assert status(stage, process) == 0, process.output
     assert "Round 1: 1 x 3 s" in process.output
