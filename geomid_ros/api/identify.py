@@ -30,7 +30,7 @@ from geomid_ros.files.models.posterior import POSTERIOR, posterior_path, read_po
 from geomid_ros.files.models.readers import READERS, URDF, with_same_files
 from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.effects import effect_class
+from geomid_ros.model.effects import GravityEffect, LoadEffect, effect_class
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent, takes
 from geomid_ros.report.result_pages import write_identification_page
@@ -362,12 +362,13 @@ def identify(options: IdentifyOptions) -> Identification:
         options.progress("solving", 0.0)
         estimate = session.identifier.solve()
         delay = _command_delay(estimate)
-        tilted = loads is None and any(effect_class(effect.name).turns_gravity for effect in estimate.effects)
-        if not rounds_left or (delay is None and not tilted):
+        kinds = [effect_class(effect.name) for effect in estimate.effects]
+        again = loads is None and any(issubclass(kind, GravityEffect | LoadEffect) for kind in kinds)
+        if not rounds_left or (delay is None and not again):
             break
         if delay is not None:
             parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
-        if tilted:  # once: the columns of a tilt are the weight of the bodies that were known beforehand
+        if again:  # once: the columns of a tilt and of friction by load are those of the bodies known beforehand
             bodies = estimate.parameters[: len(session.model.nominal_inertias)].reshape(-1, 10)
             loads = LoadedModel(inertias=dict(zip(session.model.body_names, bodies, strict=True)))
     if parameters[DELAY]:

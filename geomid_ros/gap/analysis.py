@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -60,19 +59,6 @@ class Analysis:
     def usual_load(self, candidate: Candidate) -> float:
         """Std of the rigid-body load [N m or N] that scales the grid constant of a candidate; 0 without one."""
         return self.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
-
-    @cached_property
-    def with_ordinary(self) -> tuple[tuple[float, EffectsFit], ...]:
-        """Fits with one more effect that every joint may well have, each with its weight beside the fit without it: the
-        data may hardly tell them apart, and sizes differ."""
-        found = self.effects
-        added = [trial.candidate for trial in self.search.ranked(found) if trial.candidate.odds == 1.0]
-        fits = [self.search.fit([*found.chosen, candidate], found) for candidate in added]
-        return tuple(
-            (float(np.exp(min(0.5 * (found.score - fitted.score), 0.0))), fitted)
-            for fitted in fits
-            if self.search.is_plausible(fitted)
-        )
 
     @property
     def likely(self) -> EffectsFit:

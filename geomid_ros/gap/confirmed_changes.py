@@ -23,7 +23,6 @@ from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.gap.verdict import (
     moment_without_mass,
     probability_by_size,
-    spread_by_ordinary,
     widened_by_remainder,
     with_given_stds,
 )
@@ -81,12 +80,12 @@ def confirmed_changes(
     changed = [model.body_names.index(link.link) for link in links if link.confidence == "confident"]
     sure = [candidate for candidate, finding in findings if finding.confidence == "confident"]
     refit = _Refit(model, records, analysis, changed)
-    refitted = refit.found(sure)[0]
+    refitted, full, *_ = refit.found(sure)
     whole = refit.found([candidate for candidate, _ in findings])[0] if len(sure) < len(findings) else refitted
-    sized = list(_findings_as_written(model, analysis, refitted, whole, findings))
+    sized = list(_findings_as_written(model, analysis, refitted, full, whole, findings))
     pairs = zip(findings, sized, strict=True)
     kept = [(c, before if before.confidence == after.confidence else after) for (c, before), after in pairs]
-    sized_links = [_as_written(link, model, analysis, refitted) for link in links]
+    sized_links = [_as_written(link, model, analysis, refitted, full) for link in links]
     pairs_of_links = zip(links, sized_links, strict=True)
     kept_links = [before if before.confidence == after.confidence else after for before, after in pairs_of_links]
     if (kept, kept_links) != (list(findings), list(links)):
@@ -98,8 +97,8 @@ def confirmed_changes(
     if prior.identified or prior.terms:
         inertias = np.where(refit.held[:, None], prior.inertias.reshape(-1, 10), refitted.inertias)
         return ConfirmedChanges(refitted, inertias, likely, likely_links, ())
-    written, named, ordinary = replace(refit, as_identified=True).found(sure)
-    effects = *(_named(analysis, written, each) for each in named), *(_known(written, each) for each in ordinary)
+    written, full, named, ordinary = replace(refit, as_identified=True).found(sure)
+    effects = *(_named(model, written, full, each) for each in named), *(_known(written, full, e) for e in ordinary)
     return ConfirmedChanges(written, written.inertias, likely, likely_links, effects)
 
 
@@ -121,10 +120,12 @@ class _Refit:
         links = len(self.analysis.effects.prior_stds)
         return np.isin(np.arange(links), list(self.changed), invert=True) & self.analysis.search.prior.identified
 
-    def found(self, sure: Sequence[Candidate]) -> tuple[EffectsFit, list[Candidate], list[_Ordinary]]:
+    def found(self, sure: Sequence[Candidate]) -> tuple[EffectsFit, EffectsFit, list[Candidate], list[_Ordinary]]:
         """Fit the ``sure`` effects and significant ordinary effects, without those out of range, on the rows alone, as
-        a file predicts from its parameters alone. Return the fit, and both kinds of effects in it."""
+        a file predicts from its parameters alone. Return the fit; the first one, with all ordinary effects: what is not
+        significant may be there all the same, and sizes are as unsure; and both kinds of effects in the fit."""
         named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.effects
+        full: EffectsFit | None = None
         total, floor = self._without_uncertain(sure), None if self.as_identified else self.analysis.floor
         for _ in range(_REFITS):
             problem = LinearisedProblem(self.model, self.records, total, floor)
@@ -133,6 +134,7 @@ class _Refit:
             design = problem.design_alone(columns)
             while True:
                 found = self._fit(problem, design, named, ordinary, found)
+                full = full or found
                 if unclear := [each for each in ordinary if _evidence(found, each) < CLEARLY]:
                     ordinary.remove(min(unclear, key=partial(_evidence, found)))
                 elif out_of_range := [c for c in named if self.analysis.search.is_out_of_range(found, c)]:
@@ -140,7 +142,7 @@ class _Refit:
                 else:
                     break
             total = total_model(self.model, found)
-        return found, named, ordinary
+        return found, full or found, named, ordinary
 
     def _without_uncertain(self, sure: Sequence[Candidate]) -> TotalModel:
         """Total model without unsure effects: columns linearised at a delay that does not exist are wrong."""
@@ -226,26 +228,32 @@ def _with_ordinary(
     )
 
 
-def _named(analysis: Analysis, joint_fit: EffectsFit, candidate: Candidate) -> KnownEffect:
+def _named(model: MeasurementModel, joint_fit: EffectsFit, full: EffectsFit, candidate: Candidate) -> KnownEffect:
     """Effect with a name in the form of files."""
-    model, effect = analysis.problem.model, candidate.effect
-    parameters, spread = library.parameters(model, joint_fit, candidate), spread_by_ordinary(analysis, candidate)
-    for name, size in effect.sizes(parameters).items():
-        lasting = effect.between_motions(size)
-        parameters[name] = replace(lasting, std=float(np.hypot(lasting.std, spread[name])))
-    places = model.places
-    return KnownEffect(candidate.name, places.name(candidate.place), places.link(candidate.place), parameters)
+    places, parameters = model.places, _as_unsure(model, joint_fit, full, candidate)
+    sizes = {name: candidate.effect.between_motions(size) for name, size in candidate.effect.sizes(parameters).items()}
+    return KnownEffect(candidate.name, places.name(candidate.place), places.link(candidate.place), parameters | sizes)
 
 
-def _known(joint_fit: EffectsFit, ordinary: _Ordinary) -> KnownEffect:
+def _known(joint_fit: EffectsFit, full: EffectsFit, ordinary: _Ordinary) -> KnownEffect:
     """Effect in the form of files."""
-    stds = np.sqrt(np.diag(joint_fit.covariance_of(_terms(ordinary)))).tolist()
-    found = zip(ordinary, _terms(ordinary), stds, strict=True)
+    terms = _terms(ordinary)
+    stds = np.sqrt(np.maximum(*(np.diag(found.covariance_of(terms)) for found in (joint_fit, full)))).tolist()
     parameters = dict[str, Quantity]()
-    for coefficient, term, std in found:
+    for coefficient, term, std in zip(ordinary, terms, stds, strict=True):
         value = joint_fit.value(term)
         parameters |= coefficient.parameters(value, float(np.hypot(std, coefficient.effect.drift * value)))
     return KnownEffect(ordinary[0].effect.name, ordinary[0].place_name, "", parameters)
+
+
+def _as_unsure(
+    model: MeasurementModel, joint_fit: EffectsFit, full: EffectsFit, candidate: Candidate, usual_load: float = 0.0
+) -> dict[str, Quantity]:
+    """Parameters of a candidate in a fit, with the standard deviations that they have in the ``full`` one if these are
+    larger."""
+    fits = joint_fit, full
+    own, beside = (library.parameters(model, found, candidate, usual_load=usual_load) for found in fits)
+    return {name: replace(q, std=max(q.std, beside[name].std)) for name, q in own.items()}
 
 
 def _as_given(prior: EffectsPrior, sure: Sequence[Candidate]) -> EffectsPrior:
@@ -259,6 +267,7 @@ def _findings_as_written(
     model: MeasurementModel,
     analysis: Analysis,
     joint_fit: EffectsFit,
+    full: EffectsFit,
     whole: EffectsFit,
     findings: Sequence[tuple[Candidate, Finding]],
 ) -> Iterator[Finding]:
@@ -271,7 +280,7 @@ def _findings_as_written(
             yield finding
         elif candidate in joint_fit.chosen:
             load = analysis.usual_load(candidate)
-            parameters = library.parameters(model, joint_fit, candidate, usual_load=load)
+            parameters = _as_unsure(model, joint_fit, full, candidate, load)
             if candidate in whole.chosen:
                 beside = library.parameters(model, whole, candidate, usual_load=load)
                 parameters = {n: _including(q, beside[n].value) for n, q in parameters.items()}
@@ -285,18 +294,20 @@ def _findings_as_written(
             yield replace(finding, probability=finding.probability * unsure)
 
 
-def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, joint_fit: EffectsFit) -> LinkChange:
+def _as_written(
+    link: LinkChange, model: MeasurementModel, analysis: Analysis, joint_fit: EffectsFit, full: EffectsFit
+) -> LinkChange:
     """Return a changed link with the fitted size, and no surer than this size; an unsure link keeps its size."""
     if link.confidence != "confident":
         return link
     place = model.body_names.index(link.link)
     change: FloatArray = joint_fit.inertias[place] - analysis.search.prior.inertias.reshape(-1, 10)[place]
-    sized = replace(
-        link,
-        mass=_moved(link.mass, float(change[0])),
-        moment=_all_moved(link.moment, change[1:4]),
-        centre=_all_moved(link.centre, change[1:4] / change[0]),
-    )
+    mass, moment = _moved(link.mass, float(change[0])), _all_moved(link.moment, change[1:4])
+    if not analysis.search.prior.identified:
+        stds = np.sqrt(np.diag(full.body_covariance(place)))[:4].tolist()
+        mass = replace(mass, std=max(mass.std, stds[0]))
+        moment = {n: replace(q, std=max(q.std, s)) for (n, q), s in zip(moment.items(), stds[1:], strict=False)}
+    sized = replace(link, mass=mass, moment=moment, centre=_all_moved(link.centre, change[1:4] / change[0]))
     return replace(sized, probability=min(link.probability, probability_of_square(sized.squared_significance)))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -227,24 +226,8 @@ def widened_by_remainder(
     gain = GAIN if effect.scales_measurement and not analysis.search.prior.identified else 0.0
     sizes = effect.sizes(parameters).items()
     changes = {name: abs(size.value - was.get(name, effect.absent_value)) for name, size in sizes}
-    averaged = spread_by_ordinary(analysis, candidate)
-    stds = {n: float(np.linalg.norm([q.std, doubt * changes[n], gain * q.value, averaged[n]])) for n, q in sizes}
+    stds = {n: float(np.linalg.norm([q.std, doubt * changes[n], gain * q.value])) for n, q in sizes}
     return parameters | {n: replace(q, std=stds[n]) for n, q in sizes}
-
-
-def spread_by_ordinary(analysis: Analysis, candidate: Candidate) -> Mapping[str, float]:
-    """Standard deviations of a named effect's sizes due to effects that every joint may have, but the fit has not: an
-    offset may be there in place of a mass (Hoeting et al., "Bayesian model averaging", 1999)."""
-    variances, total = defaultdict[str, float](float), 1.0
-    for weight, other in analysis.with_ordinary:
-        model, total = analysis.problem.model, total + weight
-        without, beside = (
-            candidate.effect.sizes(library.parameters(model, found, candidate)) for found in (analysis.effects, other)
-        )
-        for name, size in without.items():
-            wider = max(beside[name].std ** 2 - size.std**2, 0.0)
-            variances[name] += weight * ((beside[name].value - size.value) ** 2 + wider)
-    return defaultdict(float, {name: float(np.sqrt(variance / total)) for name, variance in variances.items()})
 
 
 def probability_by_size(candidate: Candidate, parameters: Mapping[str, Quantity], was: Values) -> float:

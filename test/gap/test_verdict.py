@@ -124,7 +124,7 @@ def widened(
 ) -> dict[str, Quantity]:
     """Sizes of a new effect with the doubt of the remainder."""
     search, support = SimpleNamespace(prior=SimpleNamespace(identified=identified)), {"relative_std": of_remainder}
-    analysis: Any = SimpleNamespace(search=search, supports={candidate: SimpleNamespace(**support)}, with_ordinary=())
+    analysis: Any = SimpleNamespace(search=search, supports={candidate: SimpleNamespace(**support)})
     return verdict.widened_by_remainder(analysis, candidate, sizes, {}, separable)
 
 

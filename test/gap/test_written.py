@@ -100,7 +100,7 @@ def test_a_payload_whose_written_mass_may_be_nothing_is_judged_by_its_moment(
     monkeypatch.setattr(written_module.library, "first_moment", lambda *_: moment)
     monkeypatch.setattr(written_module, "widened_by_remainder", lambda _, __, sizes, *___: sizes)
     fitted: Any = SimpleNamespace(chosen=[payload])
-    (said,) = written_module._findings_as_written(BARE, analysis, fitted, fitted, [(payload, named)])
+    (said,) = written_module._findings_as_written(BARE, analysis, fitted, fitted, fitted, [(payload, named)])
     assert (said.confidence == "confident") == is_sure
     assert said.moment == (moment if is_sure else {})
     assert said.parameters["mass"].value == 0.31
@@ -134,9 +134,9 @@ def test_a_changed_link_is_said_as_it_is_written() -> None:
     after[1, :4] = 0.4, 0.04, -0.08, 0.12
     centre = {axis: Quantity(value, 0.01, "m") for axis, value in zip("xyz", (0.11, -0.25, 0.3), strict=True)}
     change = LinkChange("tool", "wrist", Quantity(0.5, 0.02, "kg"), 1.0, 50.0, 1.0, centre=centre)
-    analysis = SimpleNamespace(search=SimpleNamespace(prior=SimpleNamespace(inertias=before)))
+    analysis = SimpleNamespace(search=SimpleNamespace(prior=SimpleNamespace(inertias=before, identified=True)))
     model, fitted = SimpleNamespace(body_names=["arm", "tool"]), SimpleNamespace(inertias=after)
-    found: LinkChange = written_module._as_written(change, model, analysis, fitted)  # type: ignore[arg-type]
+    found: LinkChange = written_module._as_written(change, model, analysis, fitted, fitted)  # type: ignore[arg-type]
     assert (found.mass.value, found.mass.std) == pytest.approx((0.4, 0.1))
     assert [size.value for size in found.centre.values()] == pytest.approx([0.1, -0.2, 0.3])
     assert [size.std for size in found.centre.values()] == pytest.approx([0.01, 0.05, 0.01])
