@@ -143,6 +143,23 @@ def test_a_changed_link_is_said_as_it_is_written() -> None:
     assert found.sentence.endswith("centred at x 0.1 ± 0.01, y -0.2 ± 0.05, z 0.3 ± 0.01 m")
 
 
+def test_a_link_beside_a_urdf_is_no_surer_than_beside_all_that_joints_may_have() -> None:
+    """An offset of a vertical slide may be there in place of a mass, significant or not."""
+    change, before, after = (
+        LinkChange("arm", "slide", Quantity(0.8, 0.001, "kg"), 6.0, 50.0, 1.0),
+        *np.zeros((2, 1, 10)),
+    )
+    after[0, 0] = 0.8
+    analysis: Any = SimpleNamespace(search=SimpleNamespace(prior=SimpleNamespace(inertias=before, identified=False)))
+    model: Any = SimpleNamespace(body_names=["arm"])
+    fitted: Any = SimpleNamespace(inertias=after)
+    for std, is_sure in ((0.01, True), (0.7, False)):
+        full: Any = SimpleNamespace(body_covariance=lambda _, std=std: std**2 * np.eye(10))
+        found = written_module._as_written(change, model, analysis, fitted, full)
+        assert found.mass.std == pytest.approx(std)
+        assert (found.confidence == "confident") == is_sure
+
+
 def test_beside_a_urdf_joints_have_the_friction_that_every_joint_has(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether it has a name or not."""
     monkeypatch.setattr(result_module, "SURE", 2.0)
