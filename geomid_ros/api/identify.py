@@ -363,12 +363,13 @@ def identify(options: IdentifyOptions) -> Identification:
         estimate = session.identifier.solve()
         delay = _command_delay(estimate)
         kinds = [effect_class(effect.name) for effect in estimate.effects]
-        again = loads is None and any(issubclass(kind, GravityEffect | LoadEffect) for kind in kinds)
+        unknown = loads is None and session.prior is None  # the links from which columns are computed
+        again = unknown and any(issubclass(kind, GravityEffect | LoadEffect) for kind in kinds)
         if not rounds_left or (delay is None and not again):
             break
         if delay is not None:
             parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
-        if again:  # once: the columns of a tilt and of friction by load are those of the bodies known beforehand
+        if again:  # once: the columns of a tilt and of friction by load are those of the links known beforehand
             bodies = estimate.parameters[: len(session.model.nominal_inertias)].reshape(-1, 10)
             loads = LoadedModel(inertias=dict(zip(session.model.body_names, bodies, strict=True)))
     if parameters[DELAY]:
