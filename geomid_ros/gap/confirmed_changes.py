@@ -20,12 +20,7 @@ from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPri
 from geomid_ros.gap.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.records import Records, TotalModel
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
-from geomid_ros.gap.verdict import (
-    moment_without_mass,
-    probability_by_size,
-    widened_by_remainder,
-    with_given_stds,
-)
+from geomid_ros.gap.verdict import moment_without_mass, probability_by_size, widened_by_remainder, with_given_stds
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
@@ -122,10 +117,11 @@ class _Refit:
 
     def found(self, sure: Sequence[Candidate]) -> tuple[EffectsFit, EffectsFit, list[Candidate], list[_Ordinary]]:
         """Fit the ``sure`` effects and significant ordinary effects, without those out of range, on the rows alone, as
-        a file predicts from its parameters alone. Return the fit; the first one, with all ordinary effects: what is not
+        a file predicts from its parameters alone. Return the fit; the last one with all ordinary effects: what is not
         significant may be there all the same, and sizes are as unsure; and both kinds of effects in the fit."""
-        named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.effects
-        full: EffectsFit | None = None
+        every = self._ordinary_beside(sure)
+        named, ordinary, found = [*sure], [*every], self.analysis.effects
+        full = found
         total, floor = self._without_uncertain(sure), None if self.as_identified else self.analysis.floor
         for _ in range(_REFITS):
             problem = LinearisedProblem(self.model, self.records, total, floor)
@@ -134,7 +130,7 @@ class _Refit:
             design = problem.design_alone(columns)
             while True:
                 found = self._fit(problem, design, named, ordinary, found)
-                full = full or found
+                full = found if len(ordinary) == len(every) else full
                 if unclear := [each for each in ordinary if _evidence(found, each) < CLEARLY]:
                     ordinary.remove(min(unclear, key=partial(_evidence, found)))
                 elif out_of_range := [c for c in named if self.analysis.search.is_out_of_range(found, c)]:
@@ -142,7 +138,7 @@ class _Refit:
                 else:
                     break
             total = total_model(self.model, found)
-        return found, full or found, named, ordinary
+        return found, full, named, ordinary
 
     def _without_uncertain(self, sure: Sequence[Candidate]) -> TotalModel:
         """Total model without unsure effects: columns linearised at a delay that does not exist are wrong."""

@@ -118,9 +118,21 @@ def _position_friction(parameters: Parameters, position: float, _velocity: float
     return parameters["level"] * (1.0 + parameters["modulation"] * wave)
 
 
-BY_LOAD = {"load_friction"}
-"""Friction that depends on the effort."""
 FRICTION: dict[str, Level] = by_name(_coulomb_friction, _stribeck_friction, _load_friction, _position_friction)
+
+
+def is_by_load(effect: TrueEffect) -> bool:
+    """True for friction that depends on what the others of a joint leave of the effort: it is added last."""
+    return effect.name == "load_friction"
+
+
+def added_friction(
+    effect: TrueEffect, position: float, velocity: float, effort: float, *, level: float, viscous: float
+) -> float:
+    """Dry friction [N m] that an effect adds at a joint to the ``level`` of others, under a motor's ``effort``, beside
+    a coefficient of ``viscous`` friction."""
+    left = effort - math.copysign(level, velocity) - viscous * velocity
+    return FRICTION[effect.name](effect.parameters, position, velocity, left)
 
 
 def _viscous_friction(model: Any, at: Places, parameters: Parameters) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
@@ -14,13 +13,14 @@ import numpy as np
 from geomid_ros.errors import refusing, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, set_inertia
 from geomid_ros.simulation.effects import (
-    BY_LOAD,
     FORCES,
     FRICTION,
     MODEL,
     STRUCTURE,
     Places,
     TrueEffect,
+    added_friction,
+    is_by_load,
     play_name,
     wind_up,
 )
@@ -53,7 +53,7 @@ class Simulator(ABC):
             for effect in effects
         ]
         frictions = [(effect, at.joint) for effect, at in places if effect.name in FRICTION]
-        self._frictions = sorted(frictions, key=lambda friction: friction[0].name in BY_LOAD)  # of what others leave
+        self._frictions = sorted(frictions, key=lambda friction: is_by_load(friction[0]))
         self._viscous = {at.joint: e.parameters["coefficient"] for e, at in places if e.name == "viscous_friction"}
         self._forces = [(effect, at) for effect, at in places if effect.name in FORCES]
         self._gears = [(effect, at) for effect, at in places if effect.name in GEARS]
@@ -75,10 +75,8 @@ class Simulator(ABC):
         levels = np.zeros(len(position))
         motors = self.driven.tolist()
         for effect, at in self._frictions:
-            speed = float(velocity[at])
-            other = math.copysign(levels[at], speed) + self._viscous.get(at, 0.0) * speed
-            state = float(position[at]), speed, float(effort[motors.index(at)]) - other
-            levels[at] += FRICTION[effect.name](effect.parameters, *state)
+            state = float(position[at]), float(velocity[at]), float(effort[motors.index(at)])
+            levels[at] += added_friction(effect, *state, level=levels[at], viscous=self._viscous.get(at, 0.0))
         return levels
 
     def _needed(self, position: FloatArray, velocity: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from geomid_ros.simulation.description import (
     robot_description,
 )
 from geomid_ros.simulation.effect_sizes import chosen_effects
-from geomid_ros.simulation.effects import BY_LOAD, FRICTION, TrueEffect, noiseless_measurement
+from geomid_ros.simulation.effects import FRICTION, TrueEffect, added_friction, is_by_load, noiseless_measurement
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import GEARS, LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
@@ -261,15 +262,15 @@ class RealisticRobot(TrueRobot):
     def dry(self, velocity: FloatArray, position: FloatArray, effort: FloatArray) -> FloatArray:
         """Dry friction ``(n,)`` of steady sliding, including hidden friction [N m]."""
         level = self.friction.sliding(velocity)
-        for effect in sorted(self.effects, key=lambda effect: effect.name in BY_LOAD):  # of what others leave
-            if effect.name in FRICTION:
-                index = self.plant.joints.index(effect.joint)
-                speed = float(velocity[index])
-                other = np.copysign(level[index], speed) + self.friction.viscous[index] * speed
-                level[index] += FRICTION[effect.name](
-                    effect.parameters, float(position[index]), speed, float(effort[index] - other)
-                )
+        for effect in self._frictions:
+            index = self.plant.joints.index(effect.joint)
+            state = float(position[index]), float(velocity[index]), float(effort[index])
+            level[index] += added_friction(effect, *state, level=level[index], viscous=self.friction.viscous[index])
         return level
+
+    @cached_property
+    def _frictions(self) -> list[TrueEffect]:
+        return sorted((e for e in self.effects if e.name in FRICTION), key=is_by_load)
 
     def controlled(self, controller: JointController, step: float) -> ControlLoop:
         """Put the robot under control, in steps of ``step`` [s]."""

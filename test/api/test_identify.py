@@ -13,11 +13,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from commands.running import WRIST, done, identify, undrawn
-from files.recordings import BAGS
+from files.recordings import BAGS, QUICK
 
 import geomid_ros
 from geomid_ros.exports.handover import FileTest
 from geomid_ros.files.models.posterior import read_remainder
+from geomid_ros.simulation.options import Hidden, SimulationOptions
+from geomid_ros.simulation.recording import simulate
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
@@ -78,6 +80,21 @@ def test_a_urdf_is_judged_with_its_own_friction(hold_out: float, tmp_path: Path)
     bounds = [float(outcome.bound.split()[1]) for outcome in checked.outcomes]
     # Its delay, and the shape of its friction, are the model's: a little less than alone, a fifth of that without any.
     assert bounds == pytest.approx(list(found.rms_nominal.values()), rel=0.4)
+
+
+def test_friction_by_load_is_of_the_links_that_were_found(tmp_path: Path) -> None:
+    """Those of the URDF are wrong by a third; other friction is no load. A loaded model predicts what was said."""
+    planted = {"load_friction": {"coefficient": 0.2}, "coulomb_friction": {"level": 3.0}}
+    hidden = tuple(Hidden(effect, "joint2", None, parameters) for effect, parameters in planted.items())
+    options = SimulationOptions(robot="arm3", seed=6, duration=12.0, longest_step=QUICK, inertia_error=0.3, hide=hidden)
+    simulate(tmp_path / "bag", options)
+    found = geomid_ros.identify(tmp_path / "bag", hold_out=0.0)
+    sizes = {effect.name: effect.value for effect in found.effects if effect.joint == "joint2"}
+    assert sizes["load_friction"] == pytest.approx(0.2, rel=0.03)
+    assert sizes["coulomb_friction"] == pytest.approx(3.0, rel=0.03)
+    found.save(tmp_path / "out", report=False)
+    checked = geomid_ros.verify(tmp_path / "out" / "estimate.json", validate=tmp_path / "bag")
+    assert {name: rms["value"] for name, rms in checked.rms.items()} == pytest.approx(found.rms, rel=0.03)
 
 
 def test_what_is_loaded_again_predicts_with_the_gains_that_were_found(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from model.test_contacts import bent
 import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.effect_selection import held_columns
 from geomid_ros.exports.descriptions import DescriptionFiles, described
 from geomid_ros.exports.handover import (
     DescriptionTest,
@@ -350,6 +351,8 @@ def test_dry_friction_of_a_slide_is_sharp_in_files() -> None:
     effects = [model.coefficients[k - len(model.nominal_inertias)].effect for k in model.described_shapes.values()]
     dry = [effect.smoothing for effect in effects if isinstance(effect, CoulombFriction)]
     assert dry == [CoulombFriction.smoothing, CoulombFriction.smoothing, SMOOTHINGS[0]]
+    held = held_columns(model, np.arange(model.dimension), ("urdf",))
+    assert sorted(held.tolist()) == [*range(30), *sorted(model.described_shapes.values())]
 
 
 @pytest.mark.parametrize("ratio", [1.0, -1.0])

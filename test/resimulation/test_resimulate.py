@@ -122,6 +122,19 @@ def test_friction_by_load_closes_the_gap(tmp_path: Path) -> None:
     assert_closes(tmp_path, effect("load_friction", "joint2", coefficient=0.1), data)
 
 
+def test_a_spring_loads_no_gear(tmp_path: Path) -> None:
+    """Nor does other friction: friction by load is of the effort that the links need."""
+    added, known = spring(4.0)
+    links = recording(noise=0.0)
+    friction = 0.2 * np.abs(links.effort) * np.sign(links.velocity) * SECOND
+    data = recording(added)
+    data = with_values(data, effort=data.effort + friction)
+    both = [known, effect("load_friction", "joint2", coefficient=0.2)]
+    found = simulated(files(tmp_path, "before", [known]), files(tmp_path, "after", both), data)
+    assert found.before["joint2"] > 3.0
+    assert max(found.after.values()) < 1.0 + SCATTER
+
+
 def test_efforts_are_corrected_as_the_sidecar_says(tmp_path: Path) -> None:
     """measured(t) = gain true(t - delay) + offset."""
     exact, early = recording(noise=0.0), recording(noise=0.0)
