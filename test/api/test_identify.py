@@ -84,7 +84,11 @@ def test_a_urdf_is_judged_with_its_own_friction(hold_out: float, tmp_path: Path)
 
 def test_friction_by_load_is_of_the_links_that_were_found(tmp_path: Path) -> None:
     """Those of the URDF are wrong by a third; other friction is no load. A loaded model predicts what was said."""
-    planted = {"load_friction": {"coefficient": 0.2}, "coulomb_friction": {"level": 3.0}}
+    planted = {
+        "load_friction": {"coefficient": 0.2},
+        "coulomb_friction": {"level": 3.0},
+        "viscous_friction": {"coefficient": 4.0},
+    }
     hidden = tuple(Hidden(effect, "joint2", None, parameters) for effect, parameters in planted.items())
     options = SimulationOptions(robot="arm3", seed=6, duration=12.0, longest_step=QUICK, inertia_error=0.3, hide=hidden)
     simulate(tmp_path / "bag", options)
@@ -92,6 +96,7 @@ def test_friction_by_load_is_of_the_links_that_were_found(tmp_path: Path) -> Non
     sizes = {effect.name: effect.value for effect in found.effects if effect.joint == "joint2"}
     assert sizes["load_friction"] == pytest.approx(0.2, rel=0.03)
     assert sizes["coulomb_friction"] == pytest.approx(3.0, rel=0.03)
+    assert sizes["viscous_friction"] == pytest.approx(4.0, rel=0.03)
     found.save(tmp_path / "out", report=False)
     checked = geomid_ros.verify(tmp_path / "out" / "estimate.json", validate=tmp_path / "bag")
     assert {name: rms["value"] for name, rms in checked.rms.items()} == pytest.approx(found.rms, rel=0.03)

@@ -341,7 +341,9 @@ def test_dry_friction_of_a_slide_is_sharp_in_files() -> None:
     """It may slide no faster than the usual smoothing. Fitted and loaded in one shape, that of a turning joint is its
     usual one."""
     text = (BAGS / "arm3.urdf").read_text().replace('name="joint3" type="revolute"', 'name="joint3" type="prismatic"')
-    robot = Robot(text)
+    robot = Robot(
+        text.replace('name="joint3" type="prismatic">', 'name="joint3" type="prismatic"><dynamics friction="3"/>')
+    )
     read = ReadBack("mujoco", {}, {("joint2", "joint/frictionloss"): 2.0, ("joint3", "joint/frictionloss"): 3.0})
     speeds = np.outer(np.linspace(-0.03, 0.03, 7), np.ones(3))
     samples = with_values(random_samples(robot, 1, count=7), velocity=speeds)
@@ -352,6 +354,7 @@ def test_dry_friction_of_a_slide_is_sharp_in_files() -> None:
     dry = [effect.smoothing for effect in effects if isinstance(effect, CoulombFriction)]
     assert dry == [CoulombFriction.smoothing, CoulombFriction.smoothing, SMOOTHINGS[0]]
     held = held_columns(model, np.arange(model.dimension), ("urdf",))
+    assert np.sum(model.described_parameters[30:]) == model.described_parameters[max(held)] == 3.0
     assert sorted(held.tolist()) == [*range(30), *sorted(model.described_shapes.values())]
 
 
