@@ -166,6 +166,11 @@ def test_what_has_not_changed_is_written_as_it_was(
     own, before = EstimateFile.read(tmp_path / "estimate.json"), handover(identified)
     assert masses(before["urdf"]) != {link.name: link.mass for link in own.links}, "else nothing shows"
     assert own.handover.keys() == before.keys()
+    given = {(e.effect, e.joint): e.parameters for e in EstimateFile.read(identified / "estimate.json").known_effects}
+    for effect in own.known_effects:
+        for key, quantity in given[effect.effect, effect.joint].items():
+            written = effect.parameters[key]
+            assert (written.value, written.std) == pytest.approx((quantity.value, quantity.std)), "as sure as before"
     for reader, entry in own.handover.items():
         assert masses(entry) == pytest.approx(masses(before[reader]), rel=1e-12), reader
         assert entry.effects == before[reader].effects, reader

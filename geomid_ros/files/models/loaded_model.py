@@ -92,10 +92,11 @@ class LoadedModel:
             coefficients: coefficients of its effects; NaN or an invalid sign drops the effect.
             beside: the remaining ones of :attr:`situational_effects`.
         """
-        stds = self.coefficient_stds(model)[len(model.nominal_inertias) :].tolist()
+        within = self.coefficient_stds(model)[len(model.nominal_inertias) :]
+        drift = [coefficient.effect.drift for coefficient in model.coefficients] * coefficients
         entries = [
-            KnownEffect(c.effect.name, c.place_name, "", c.parameters(float(value), std))
-            for c, value, std in zip(model.coefficients, coefficients, stds, strict=True)
+            KnownEffect(c.effect.name, c.place_name, "", c.parameters(float(value), float(std)))
+            for c, value, std in zip(model.coefficients, coefficients, np.hypot(within, drift), strict=True)
             if math.isfinite(value) and (value > 0.0 or not c.positive)
         ]
         fitted = {(entry.effect, entry.joint) for entry in entries}
