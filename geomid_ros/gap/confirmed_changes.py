@@ -64,6 +64,7 @@ def confirmed_changes(
     analysis: Analysis,
     findings: Sequence[tuple[Candidate, Finding]],
     links: Sequence[LinkChange],
+    masses_held: Sequence[int] = (),
 ) -> ConfirmedChanges:
     """Undo the changes that have no sure name, and fit the rest again.
 
@@ -85,14 +86,14 @@ def confirmed_changes(
     kept_links = [before if before.confidence == after.confidence else after for before, after in pairs_of_links]
     if (kept, kept_links) != (list(findings), list(links)):
         # A change that is no longer sure must not be in the file, and it affects all other sizes.
-        return confirmed_changes(model, records, analysis, kept, kept_links)
+        return confirmed_changes(model, records, analysis, kept, kept_links, masses_held)
     likely = tuple(finding for finding in sized if finding.is_likely)
     likely_links = tuple(link for link in sized_links if link.probability >= LIKELY)
     prior = analysis.search.prior
     if prior.identified or prior.terms:
         inertias = np.where(refit.held[:, None], prior.inertias.reshape(-1, 10), refitted.inertias)
         return ConfirmedChanges(refitted, inertias, likely, likely_links, ())
-    written, full, named, ordinary = replace(refit, as_identified=True).found(sure)
+    written, full, named, ordinary = replace(refit, as_identified=True, masses_held=masses_held).found(sure)
     effects = *(_named(model, written, full, each) for each in named), *(_known(written, full, e) for e in ordinary)
     return ConfirmedChanges(written, written.inertias, likely, likely_links, effects)
 
@@ -108,6 +109,7 @@ class _Refit:
     analysis: Analysis
     changed: Collection[int]
     as_identified: bool = False
+    masses_held: Sequence[int] = ()
 
     @property
     def held(self) -> BoolArray:
@@ -171,6 +173,7 @@ class _Refit:
     ) -> EffectsFit:
         names = self.analysis.effects
         prior = _with_ordinary(_as_given(self.analysis.search.prior, named), problem, named, ordinary)
+        prior = replace(prior, masses_held=self.masses_held)
         if not self.analysis.search.prior.identified:
             default_stds = None if self.as_identified else self.analysis.search.prior.link_prior_stds
             return scattered(design, fit(design, prior, named, start, default_stds))

@@ -53,6 +53,7 @@ def find_gap(
     other_effects: Sequence[KnownEffect] = (),
     known_remainder: KnownRemainder | None = None,
     ordinary: EffectsByPlace = MappingProxyType({}),
+    masses_held: Sequence[int] = (),
     simulated: Sequence[Samples] = (),
     progress: Progress = silent,
 ) -> GapResult:
@@ -82,6 +83,8 @@ def find_gap(
         known_remainder: the model's remainder on its own data, which is no change; see :func:`remainder_of_model`.
         ordinary: effects that ``identify`` finds, from rest and reversals, too: joints of this robot may well have
             them, so the written model has them unless a sure finding excludes them.
+        masses_held: links that may leave their prior in the written model, but not with their mass: ``identify`` finds
+            no other.
         simulated: recordings of the user's simulator under the same commands, in the same form; what they show as well
             as ``train`` is no gap.
         progress: called with the present stage and the finished fraction, 0 to 1.
@@ -108,7 +111,7 @@ def find_gap(
     progress("judging", 0.0)
     links = changed_links(bare, analysis)
     named = findings(bare, analysis)
-    result = confirmed_changes(bare, records, analysis, named, links)
+    result = confirmed_changes(bare, records, analysis, named, links, masses_held)
     files = HeldOut(bare, unseen, replace(analysis, effects=result.found))
     # The inertias of a URDF are wrong on any robot; those of an identified or simulated model are not.
     is_named = bool(result.findings or (result.links and (prior.identified or simulated)))

@@ -234,10 +234,18 @@ def _free_fit(
     individual_stds = prior.separate_prior_stds if start is None else start.separate_prior_stds
     ends = [len(link_stds), len(link_stds) + 1]
 
+    def mass_rows(links: FloatArray) -> FloatArray:
+        """Rows in tangent coordinates at the prior that keep the prior std of each mass that is held at its default."""
+        held = np.array(prior.masses_held, dtype=np.intp)
+        kept = np.sqrt(np.maximum(prior.link_prior_stds**-2.0 - links**-2.0, 0.0))[held]
+        rows = np.zeros((len(held), manifold.dimension))
+        rows[np.arange(len(held)), 10 * held] = kept / prior.inertias[10 * held]
+        return manifold.offset_rows(prior_point, rows)
+
     def objective(prior_scales: FloatArray) -> ProfileObjective:
         links, inflation, individual = np.split(prior_scales, ends)
         precision = np.append(np.repeat(links, 10) ** -2.0, weights[payloads_at:])
-        held = alike_rows(prior.alike, individual, manifold.dimension)
+        held = np.concatenate([alike_rows(prior.alike, individual, manifold.dimension), mass_rows(links)])
         return ProfileObjective(profile, precision, earlier / inflation + zeros + _products(held, np.zeros(len(held))))
 
     def likely(point: Point, hessian: FloatArray, previous: FloatArray) -> FloatArray:

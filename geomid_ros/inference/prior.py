@@ -168,6 +168,7 @@ class Prior(Generic[Term]):
         changed_link: link that differs now from the one in the other recordings.
         cost: minus twice the log of the factor that this change puts on the likelihood of the other recordings.
         alike: groups of links that have most of their errors in common.
+        masses_held: indices of the links that may leave their prior, but not with their mass.
         constraints: gives rows ``(r, k)`` that fix combinations of coefficients at zero, from terms and values, if any.
     """
 
@@ -182,6 +183,7 @@ class Prior(Generic[Term]):
     changed_link: int | None = None
     cost: float = 0.0
     alike: Sequence[AlikeParts] = ()
+    masses_held: Sequence[int] = ()
     constraints: Callable[[Sequence[Term], FloatArray], FloatArray] | None = None
 
     @property

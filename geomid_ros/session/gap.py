@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
 from geomid_ros.estimation.identifier import BEYOND_PRECISION
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.bags.bag import Bag
@@ -87,6 +87,13 @@ class Identified:
         coefficients = self.session.model.coefficients
         values = self.estimate.parameters[self.session.model.dimension - len(coefficients) :]
         return {(c.effect.name, c.place): c.effect for c, value in zip(coefficients, values, strict=True) if value}
+
+    @property
+    def usual_masses(self) -> list[int]:
+        """Links whose mass may be that of the description."""
+        nominal = self.session.model.nominal_inertias[::10]
+        pairs = enumerate(zip(self.estimate.links, nominal, strict=True))
+        return [i for i, (link, mass) in pairs if abs(link.mass - mass) < STDS_OF_95 * link.std_mass]
 
 
 def gap_session(urdf: str, configuration: Configuration, source: str) -> Session:
@@ -167,6 +174,7 @@ def find_gap_in_samples(
             other_effects=session.loaded.situational_effects,
             known_remainder=known_remainder,
             ordinary={} if identified is None else identified.effects,
+            masses_held=() if identified is None else identified.usual_masses,
             simulated=recordings.simulated,
             progress=progress,
         )
@@ -194,7 +202,7 @@ def identified_in(session: Session, recordings: GapSamples, readers: Collection[
 def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
     """Information from the recordings of the session's model on its links, jointly with its effects if that was kept;
     and standard deviations ``(D,)`` apart from this information. All masses may be off by a common fraction."""
-    model, loaded, prior = session.model, session.loaded, session.prior
+    model, loaded, prior, unknown_scales = session.model, session.loaded, session.prior, 1
     deviations = loaded.coefficient_stds(model)
     if prior is None or loaded.links_information is None:
         return None, deviations
@@ -205,12 +213,13 @@ def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatAr
         informative = np.where(order >= 0, rows[:, order], 0.0)
         known = OtherRecordings(informative, np.zeros(len(rows)), np.zeros(len(model.coefficients)))
     elif (information := loaded.information(model)) is not None:
-        known = OtherRecordings(information.rows, information.residuals)
+        known, unknown_scales = OtherRecordings(information.rows, information.residuals), 2  # theirs, too
     else:
         return None, deviations
     if session.relative_mass_std:
         masses = prior[: known.links].reshape(-1, 10) * ([1.0] * 4 + [0.0] * 6)  # gravity acts on these
-        known, _ = known.marginalised(session.relative_mass_std * known.rows[:, : known.links] @ masses.reshape(-1, 1))
+        scale = np.sqrt(unknown_scales) * session.relative_mass_std
+        known, _ = known.marginalised(scale * known.rows[:, : known.links] @ masses.reshape(-1, 1))
     return known, deviations
 
 

@@ -16,6 +16,7 @@ from geomid_ros.gap.candidates import Candidate, EffectsFit
 from geomid_ros.gap.records import Records
 from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference.design import Design
@@ -68,6 +69,19 @@ def test_what_no_finding_says_is_as_it_was_given() -> None:
     size = named.parameters["coefficient"]
     assert abs(size.value - MISSING) < 3.0 * size.std
     assert f"{size.value:.4g}" in named.sentence
+
+
+def test_a_link_that_leaves_its_prior_keeps_a_mass_that_no_effort_tells() -> None:
+    """Eight times the inertia about the same centre: without a mass to hold, twice the mass predicts as well."""
+    true = np.array([pseudo_inertia.from_parameters(body) for body in BARE.nominal_inertias.reshape(-1, 10)])
+    true[1:, :3, :3] *= 8.0
+    robot = planted.rigid(pseudo_inertia.to_parameters(true))
+    train, unseen = planted.recording(robot, 7), planted.recording(robot, 1007, 15.0)
+    free, held = (find_gap(BARE, [train], [unseen], masses_held=links) for links in ((), range(3)))
+    off = [np.abs(np.log(found.inertias[:, 0] / true[:, 3, 3])) for found in (free, held)]
+    assert np.max(off[0]) > 0.5
+    assert np.max(off[1]) < 0.1
+    np.testing.assert_allclose(held.gap.after, free.gap.after, atol=0.01)
 
 
 def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
