@@ -34,7 +34,7 @@ from geomid_ros.estimation.solvers import SOLVERS, Solution
 from geomid_ros.estimation.starting_point import channel_sizes
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.geometry import spd
+from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import SIZE
 from geomid_ros.model.alike_parts import AlikeParts
@@ -71,6 +71,7 @@ class EstimatorSettings:
         cutoff: Cutoff of the low-pass filter that made the rows [Hz]; it determines how many rows are independent.
         population: Population of the robot's type; the prior instead of the URDF.
         alike: Links whose URDF errors are mostly common to them.
+        relative_mass_std: Standard deviation of a common relative error of all masses: that of gravity as measured.
         files: Elements of a file, by its reader (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`). For each
             file the parameters are also fitted with only the effects that it can hold.
     """
@@ -85,6 +86,7 @@ class EstimatorSettings:
     cutoff: float = np.inf
     population: Population | None = None
     alike: tuple[AlikeParts, ...] = ()
+    relative_mass_std: float = 0.0
     files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -263,9 +265,16 @@ def _significant(solve: Callable[[IntArray], _Solved], columns: IntArray, may_go
 
 
 def _masses(found: Estimate) -> WeighedRows:
-    """Return the masses of an estimate's links as known rows, each with its standard deviation."""
+    """Return the masses of an estimate's links as known rows with their covariance: a sum may be known much better than
+    its parts."""
     rows = np.zeros((len(found.links), len(found.parameters)))
-    rows[:, : 10 * len(rows) : 10] = np.diag([1.0 / link.std_mass for link in found.links])
+    masses = slice(0, 10 * len(rows), 10)
+    covariance = found.posterior.parameter_covariance[masses, masses].copy()
+    variances = np.array([link.std_mass for link in found.links]) ** 2  # larger for links far from their priors
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), variances))
+    stds = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(stds, stds))
+    rows[:, masses] = (vectors / np.sqrt(np.maximum(values, ROUNDING))).T / stds
     return WeighedRows(rows, rows @ found.parameters)
 
 
@@ -403,9 +412,11 @@ def _minimum(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole:
     known_fold = _known_at(manifold, solution.point, known)
     expected = _information_at(manifold, solution.point, known.rows[len(known.masses) :])
     assumed = fitted.assumed_prior_stds
+    # To that of gravity, rows and the masses that they determine are in proportion.
+    scale = folds.total.information[:, manifold.inertial] @ _common_scale(solution.point, settings.relative_mass_std)
 
     def errors_for(prior_stds: FloatArray) -> uncertainty.Uncertainty:
-        return uncertainty.estimate_uncertainty(
+        errors = uncertainty.estimate_uncertainty(
             folds,
             known_fold,
             1.0 / problem.independent_fraction,
@@ -416,6 +427,7 @@ def _minimum(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole:
             assumed_prior_stds=prior_stds,
             expected=expected,
         )
+        return errors.with_unknown_scale(errors.response @ scale)
 
     errors, steps = errors_for(assumed), _grid_steps(columns, whole, fitted, solution.point)
     return _Minimum(
@@ -427,6 +439,13 @@ def _minimum(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole:
         effects=estimate_parts.effects(problem, solution.point, errors.with_unknown_constants(steps)),
         errors_for=errors_for,
     )
+
+
+def _common_scale(point: Point, relative: float) -> FloatArray:
+    """Tangent coordinates ``(10 links,)`` of a ``relative`` increase of all masses and first moments, which gravity
+    acts on."""
+    increase = relative * pseudo_inertia.to_parameters(point.pseudo_inertias) * ([1.0] * 4 + [0.0] * 6)
+    return np.asarray(np.linalg.solve(point.links_jacobian, increase[:, :, None]).ravel(), dtype=np.float64)
 
 
 def _estimate(found: _Solved, whole: Problem) -> Estimate:

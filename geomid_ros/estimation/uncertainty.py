@@ -147,6 +147,11 @@ class Uncertainty:
         own[steps.columns] = variances * moves[np.arange(len(moves)), steps.columns] ** 2
         return replace(self, covariance=self.covariance + (moves.T * variances) @ moves, own_constant=own)
 
+    def with_unknown_scale(self, shift: FloatArray) -> Uncertainty:
+        """Return it with the error of a common scale that the rows do not tell: a ``shift (D,)`` of the estimate by one
+        standard deviation of it."""
+        return replace(self, covariance=self.covariance + np.outer(shift, shift))
+
 
 def estimate_uncertainty(
     folds: Folds,

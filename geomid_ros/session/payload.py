@@ -198,7 +198,7 @@ def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate],
     systematic = np.maximum(np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0)))
     if link == session.robot.tree.root:  # elsewhere its moments distinguish a payload from the whole robot's mass
         robot = sum(other.mass for other in fit.links[:-1])
-        heavier = body.parameters + np.append(session.relative_mass_std * robot, np.zeros(9))
+        heavier = body.parameters + np.append(np.sqrt(2.0) * session.relative_mass_std * robot, np.zeros(9))
         systematic = np.hypot(systematic, quantities_and_moments(heavier) - values)
     deviations = np.hypot(np.append(body.std, moment_std), systematic)
     is_identified = identified(body.parameters, np.hypot(body.std_doubted, systematic), body.std_prior)

@@ -74,7 +74,8 @@ class Session:
             ledger: counts what becomes of each message.
             readers: programs that will read the results, of :data:`~geomid_ros.files.models.readers.ELEMENTS`.
             loaded: the model to start from; that of the configuration unless given.
-            loads: the bodies that load the gears; those of the model to start from, or of the URDF, unless given.
+            loads: the robot whose bodies load the gears, and whose joints have friction beside the ground's forces; the
+                model to start from, or the URDF, unless given.
 
         Raises:
             InputError: these do not fit together.
@@ -244,10 +245,10 @@ class Session:
 
     @property
     def relative_mass_std(self) -> float:
-        """Standard deviation of the relative difference in total mass between two recordings, as the bias of an
-        accelerometer along gravity is mistaken for it. Zero without an IMU."""
+        """Standard deviation of the relative error of the total mass, as which the bias of an accelerometer along
+        gravity appears in one recording. Zero without an IMU."""
         gravity = float(np.linalg.norm(self.robot.gravity))
-        return np.sqrt(2.0) * ACCELEROMETER_BIAS / gravity if self.base_topic == IMU else 0.0
+        return ACCELEROMETER_BIAS / gravity if self.base_topic == IMU else 0.0
 
     @property
     def _imu_mount(self) -> ImuMount | None:
@@ -280,7 +281,8 @@ class Session:
     def _estimator_settings(self, configuration: Configuration) -> EstimatorSettings:
         """Estimator settings with the population prior. Raises InputError if several priors are given, or none fits."""
         settings = configuration.estimator([channel.name for channel in self.model.channels])
-        settings = replace(settings, files={reader: ELEMENTS[reader] for reader in self._readers})
+        files = {reader: ELEMENTS[reader] for reader in self._readers}
+        settings = replace(settings, files=files, relative_mass_std=self.relative_mass_std)
         path = configuration["prior"]
         given = [name for name, value in (("model", self.loaded.source), ("gamma", configuration["gamma"])) if value]
         if path and given:

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from geometry import bodies
+from model.robots import with_values
 from scipy.signal import lfilter
 
 from geomid_ros.estimation.estimate import (
@@ -44,7 +45,7 @@ from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.types import FloatArray
 
-from .arms import ALL_EFFECTS, Case, arm, summary, truth
+from .arms import ALL_EFFECTS, Case, arm, identifier, summary, truth
 from .arms import parameters as parameters_of
 from .problems import ALL, LINKS
 
@@ -389,3 +390,21 @@ def test_correlations_longer_than_a_fold_are_seen() -> None:
 
     scaled = 1e3 * slopes
     assert factor(np.repeat(scaled, 2, axis=0)) > 1.5 * max(1.0, factor(np.tile(scaled, (2, 1))))
+
+
+def test_what_gravity_loads_is_as_unsure_as_gravity() -> None:
+    """By the share of it that an accelerometer's bias is; what is estimated stays the same."""
+    case, share = arm("arm3", 0, noise=NOISE), 0.05
+    exact, unsure = (identifier(case, relative_mass_std=std).solve() for std in (0.0, share))
+    np.testing.assert_array_equal(unsure.parameters, exact.parameters)
+    size = len(case.model.nominal_inertias)
+    still = with_values(case.samples, velocity=0.0 * case.samples.velocity, acceleration=0.0 * case.samples.velocity)
+    rows = case.model.rows(still).coefficients[::50, :, :size]
+    before, after = (
+        np.einsum("nci,ij,ncj->nc", rows, found.posterior.parameter_covariance[:size, :size], rows)
+        for found in (exact, unsure)
+    )
+    efforts = rows @ exact.parameters[:size]
+    np.testing.assert_allclose(
+        np.sqrt(after - before), share * np.abs(efforts), atol=0.02 * share * np.max(np.abs(efforts))
+    )
