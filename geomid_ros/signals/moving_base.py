@@ -26,6 +26,10 @@ TOO_SMALL = driver_error(
     f"the acceleration is too small on average: it is in g, or the driver has removed gravity: {_EXPECTED}"
 )
 NO_SPECIFIC_FORCE = driver_error(f"the acceleration is not gravity on average: {_EXPECTED}")
+TURNS_OTHERWISE = driver_error(
+    "the angular velocity is not that with which gravity turns in the acceleration: publish both in the axes of the "
+    "IMU, rad/s and m/s^2 (sensor_msgs/Imu)"
+)
 
 
 class ImuSegment(VectorSegment):
@@ -40,7 +44,7 @@ class ImuSegment(VectorSegment):
         self._mount = mount
         self._wide = round(_LEVELLING / (grid.period * 1e-9))
         self._weights = np.hanning(2 * self._wide + 3)[None, 1:-1] / (self._wide + 1)
-        self._levelled = GridValues()  # specific forces in non-rotating axes, and the rotations to them
+        self._levelled = GridValues()  # specific forces in non-rotating axes, their norms, and the rotations to them
         self._rotation, self._rate = np.eye(3), np.zeros((0, 3))  # at the last grid point
 
     def _interpolate(self) -> None:
@@ -56,7 +60,8 @@ class ImuSegment(VectorSegment):
             rotation[:] = self._rotation = self._rotation @ turn
         self._rate = rates[-1:]
         forces = np.einsum("nij,nj->ni", rotations, new[:, 3:])
-        self._levelled.extend(start, np.concatenate([forces, rotations.reshape(-1, 9)], axis=1))
+        norms = np.linalg.norm(forces, axis=1, keepdims=True)
+        self._levelled.extend(start, np.concatenate([forces, norms, rotations.reshape(-1, 9)], axis=1))
 
     def ready(self) -> range:
         motion, levelled = super().ready(), self._levelled
@@ -66,30 +71,34 @@ class ImuSegment(VectorSegment):
     def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return poses ``(N, 7)``, velocities and accelerations ``(N, 6)`` of the base, as in :class:`PoseSegment`."""
         value, first, _ = super().filtered(instants)
-        mean = self._mean(instants)
-        rotations = self._levelled.values[np.array(instants) - self._levelled.first, 3:].reshape(-1, 3, 3)
-        up = np.einsum("nji,nj->ni", rotations, mean)
+        rotations = self._levelled.values[np.array(instants) - self._levelled.first, 4:].reshape(-1, 3, 3)
+        up = np.einsum("nji,nj->ni", rotations, self._mean(instants)[:, :3])
         up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), np.finfo(float).tiny)
         return self._mount.base_motion(value[:, :3], first[:, :3], value[:, 3:], up)
 
     def _mean(self, instants: range) -> FloatArray:
-        """Mean specific force over a second before and after ``(N, 3)``, in non-rotating axes."""
-        (mean,) = self._levelled.correlated(instants, self._weights, 3)
+        """Mean specific force over a second before and after, in non-rotating axes, and its mean norm ``(N, 4)``."""
+        (mean,) = self._levelled.correlated(instants, self._weights, 4)
         return np.asarray(mean)
 
     def faults(self, instants: range) -> list[str]:
-        """Return the fault of the specific force at each of ``instants``; empty where its mean is gravity."""
-        return [_fault(ratio) for ratio in self._mount.weighed(self._mean(instants)).tolist()]
+        """Return the fault at each of ``instants``; empty where the mean specific force is gravity."""
+        mean = self._mean(instants)
+        ratios = np.column_stack([self._mount.weighed(mean[:, :3]), self._mount.weighed(mean[:, 3:])])
+        return [_fault(*pair) for pair in ratios.tolist()]
 
     def drop_before(self, instant: int) -> None:
         super().drop_before(instant)
         self._levelled.drop_before(instant - self._wide)
 
 
-def _fault(ratio: float) -> str:
-    """Fault of a mean specific force that is ``ratio`` times gravity; empty if there is none."""
+def _fault(ratio: float, of_norm: float) -> str:
+    """Fault of a mean specific force that is ``ratio`` times gravity, and its mean norm ``of_norm`` times; empty if
+    there is none. If only the norm is that of gravity, it was not turned as the IMU turned."""
     if abs(ratio - 1.0) < _UNLIKE_GRAVITY:
         return ""
+    if abs(of_norm - 1.0) < _UNLIKE_GRAVITY:
+        return TURNS_OTHERWISE
     return TOO_SMALL if ratio < _UNLIKE_GRAVITY else NO_SPECIFIC_FORCE
 
 

@@ -16,7 +16,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import IMU
-from geomid_ros.signals.moving_base import NO_SPECIFIC_FORCE, TOO_SMALL, Stance
+from geomid_ros.signals.moving_base import NO_SPECIFIC_FORCE, TOO_SMALL, TURNS_OTHERWISE, Stance
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
@@ -135,10 +135,11 @@ def imu_numbers(time: float) -> FloatArray:
 
 
 @cache
-def messages(scale: float = 1.0) -> list[Message]:
-    """Of the IMU, with its accelerations multiplied by ``scale``, and of a joint that stands by."""
+def messages(scale: float = 1.0, turning: float = 1.0) -> list[Message]:
+    """Of the IMU, with its accelerations multiplied by ``scale`` and its angular velocities by ``turning``, and of a
+    joint that stands by."""
     scales = np.ones(37)
-    scales[25:28] = scale
+    scales[25:28], scales[13:16] = scale, turning
     imu = [ImuMessage(int(stamp), scales * imu_numbers(float(seconds(stamp)))) for stamp in IMU_STAMPS]
     joints = [JointMessage(int(stamp), ("joint",), [0.0], [], [0.0]) for stamp in IMU_STAMPS]
     return in_time(joints, imu)
@@ -203,6 +204,13 @@ def test_an_acceleration_that_is_not_gravity_on_average_is_not_used(scale: float
     noted = [*pipeline.ledger.topics[IMU].noted]
     assert noted == [fault] * bool(fault)
     assert {meaning_of(each) for each in noted} <= {"driver error"}
+
+
+def test_an_angular_velocity_that_does_not_turn_gravity_is_no_fault_of_the_acceleration() -> None:
+    """In degrees per second."""
+    pipeline = new_pipeline()
+    assert not list(completed(pipeline, messages(turning=180.0 / np.pi)))
+    assert [*pipeline.ledger.topics[IMU].noted] == [TURNS_OTHERWISE]
 
 
 @pytest.mark.parametrize(("places", "value"), [([16], -1.0), ([28], -1.0), ([14], np.nan), ([25], np.inf)])
