@@ -95,6 +95,19 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
     return [sentence] if standing else []
 
 
+def unknown_base(model: MeasurementModel, estimate: Estimate) -> list[Cause]:
+    """Report if legs are declared, and no row of the base was fitted."""
+    rms = np.array(estimate.rms)[list(model.layout.base)]
+    if model.legs is None or np.any(np.isfinite(rms)):
+        return []
+    sentence = (
+        "the base and what it carries are not identified: ground reaction forces are unknown, as efforts are needed of "
+        "all joints of the legs that stand. Let the driver publish them, or compute them from set-points: "
+        "--command TOPIC with --gains KP:KD"
+    )
+    return [Cause(kind="ground", sentence=sentence)]
+
+
 def carried_weight(legs: Legs, samples: Samples) -> list[Cause]:
     """Report if by the efforts of the legs the feet do not support the robot; ``samples`` are any of a recording."""
     share = _weight_on(legs, samples)

@@ -13,7 +13,7 @@ import numpy as np
 
 from geomid_ros.checks.causes import Cause, RecordingFault, as_faults
 from geomid_ros.checks.definite_faults import encoder_zeros
-from geomid_ros.checks.moving_base import displaced_imu, feet_of_fixed, never_lifted, turned_imu
+from geomid_ros.checks.moving_base import displaced_imu, feet_of_fixed, never_lifted, turned_imu, unknown_base
 from geomid_ros.checks.recording_check import CheckTask, RecordingCheck, RunCheck, no_external_forces
 from geomid_ros.checks.unexplained import residual_rms_in_motion, unexplained, unexplained_base
 from geomid_ros.checks.verdict import (
@@ -313,6 +313,7 @@ class Review:
         if self._has_imu:
             remarks += turned_imu(self._model, estimate)
             findings = findings or as_faults(displaced_imu(self._model, samples, estimate.parameters))
+        findings = findings or as_faults(unknown_base(self._model, estimate))
         findings = findings or as_faults(unexplained_base(self._model, samples, estimate.parameters))
         if held_out is not None and (poor := poorly_predicted(estimate, self._in_motion(estimate, samples, held_out))):
             changes = self._changes()
