@@ -16,6 +16,7 @@ import numpy as np
 from geomid_ros.api.rebuild import tables, write_tables
 from geomid_ros.api.robot import bag_paths, check_command_efforts, configuration, description, recordings, topics
 from geomid_ros.checks.candidates import ROUNDS
+from geomid_ros.checks.moving_base import never_lifted
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import STDS_OF_95, EffectEstimate, Estimate, LinkEstimate
@@ -354,24 +355,26 @@ def identify(options: IdentifyOptions) -> Identification:
     only_effects = options.effects is not None and options.candidates is None
     parameters = configuration(options, options.model, **({"candidates": []} if only_effects else {}))
     robot = description(options, recorded.fitted, options.model)
-    loads: LoadedModel | None = None
+    known: LoadedModel | None = None  # the robot as first found
+    # Whether it repeats to see if legs were in the air beside the friction that was found; the number of rows before.
+    unlifted, rows = False, 0
     for rounds_left in range(ROUNDS, -1, -1):
-        make = partial(Session, readers=READERS, loads=loads)
+        make = partial(Session, readers=READERS, loads=known)
         session, judged = robot.read(make, parameters, lambda session: _read(session, recorded, options.progress))
         session.review.check_description()
-        options.progress("solving", 0.0)
-        estimate = session.identifier.solve()
-        delay = _command_delay(estimate)
-        kinds = [effect_class(effect.name) for effect in estimate.effects]
-        unknown = loads is None and session.prior is None  # the links from which columns are computed
-        again = unknown and any(issubclass(kind, GravityEffect | LoadEffect) for kind in kinds)
-        if not rounds_left or (delay is None and not again):
+        if not unlifted or session.identifier.counts.taken != rows:
+            options.progress("solving", 0.0)
+            estimate = session.identifier.solve()
+            rows = estimate.rows_accepted
+        delay, may_repeat = _command_delay(estimate), known is None and session.prior is None
+        by_links = may_repeat and _depends_on_links(estimate)
+        unlifted = may_repeat and not by_links and delay is None and bool(never_lifted(session.model, estimate))
+        if not rounds_left or (delay is None and not by_links and not unlifted):
             break
         if delay is not None:
             parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
-        if again:  # once: the columns of a tilt and of friction by load are those of the links known beforehand
-            bodies = estimate.parameters[: len(session.model.nominal_inertias)].reshape(-1, 10)
-            loads = LoadedModel(inertias=dict(zip(session.model.body_names, bodies, strict=True)))
+        if by_links or unlifted:
+            known = _found_robot(session, estimate)
     if parameters[DELAY]:
         session.review.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
     return Identification(
@@ -382,6 +385,19 @@ def identify(options: IdentifyOptions) -> Identification:
         reader=with_same_files(options.reader),
         command=options.command,
     )
+
+
+def _depends_on_links(estimate: Estimate) -> bool:
+    """True if the columns of an effect are those of links known beforehand: a tilt, friction by load."""
+    kinds = (effect_class(effect.name) for effect in estimate.effects)
+    return any(issubclass(kind, GravityEffect | LoadEffect) for kind in kinds)
+
+
+def _found_robot(session: Session, estimate: Estimate) -> LoadedModel:
+    """Links and effects of an estimate, for :class:`Session`, which takes them to be known."""
+    bodies = estimate.parameters[: len(session.model.nominal_inertias)].reshape(-1, 10)
+    effects = (effect for effect in model_effects(estimate, ()) if effect.cls.has_columns)
+    return LoadedModel(inertias=dict(zip(session.model.body_names, bodies, strict=True)), effects=tuple(effects))
 
 
 def _command_delay(estimate: Estimate) -> float | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from types import MappingProxyType
 from typing import Any
@@ -180,16 +180,27 @@ class MeasurementModel:
     def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
         """Return the model under another ``gravity (3,)`` in the base frame [m/s^2]."""
         robot = self.robot.with_gravity(gravity)
-        return self._replaced(robot=robot, legs=self.legs and Legs(robot, self.legs.contacts))
+        return self._replaced(robot=robot, legs=self.legs and Legs(robot, self.legs.contacts, self.legs.efforts))
 
     def with_known_loads(self, known: FloatArray | None) -> MeasurementModel:
-        """Return the model with gear loads from the links of ``known (D,)`` parameters, the URDF's where NaN."""
+        """Return the model with gear loads from the links of ``known (D,)`` parameters, the URDF's where NaN, and with
+        ground forces beside the effects of joints."""
         if known is None:
             return self
         first, loading = 10 * len(self.identified), self.gear_inertias.copy()
         inertias = np.where(np.isfinite(known[:first]), known[:first], self.nominal_inertias)
         loading[list(self.identified)] = inertias.reshape(-1, 10)
-        return self._replaced(gear_inertias=loading)
+        efforts = partial(self._motion_efforts, np.nan_to_num(known[first:]))
+        legs = self.legs and Legs(self.robot, self.legs.contacts, efforts)
+        return self._replaced(gear_inertias=loading, legs=legs)
+
+    def _motion_efforts(self, coefficients: FloatArray, samples: Samples) -> FloatArray:
+        """Joint efforts ``(N, joints)`` of the effects that depend on the motion alone."""
+        entries, joints, parameters, indices = self._of_motion
+        values = coefficients[parameters - 10 * len(self.identified)] * samples.values_of(entries)[:, indices]
+        efforts = np.zeros(samples.effort.shape)
+        np.add.at(efforts.T, joints, values.T)
+        return efforts
 
     def with_drive_gains(self, gains: FloatArray) -> MeasurementModel:
         """Return the model in which the efforts of the links are measured ``gains (channels,)`` times what they are in

@@ -10,7 +10,7 @@ determines the moment on a flat foot; with fewer joints a foot is a point contac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,16 +95,20 @@ class Contact:
 class Legs:
     """A robot's legs, each with a foot at its end."""
 
-    def __init__(self, robot: Robot, contacts: Sequence[Contact]) -> None:
+    def __init__(
+        self, robot: Robot, contacts: Sequence[Contact], efforts: Callable[[Samples], FloatArray] | None = None
+    ) -> None:
         """
         Args:
             robot: robot with a floating base.
             contacts: the feet, one per leg.
+            efforts: known efforts of friction and rotors ``(N, joints)`` in samples, if any.
 
         Raises:
             InputError: if a foot is not a link, moves with fewer than three joints, or shares a joint with another.
         """
         self._robot = robot
+        self.efforts = efforts
         self.contacts = tuple(contacts)
         self.joints = [self._joints(contact) for contact in contacts]
         """Joints between base and foot, for each leg."""
@@ -138,10 +142,12 @@ class Legs:
         return np.asarray(np.sum(self.forces(samples), axis=1) @ up / self._robot.weight)
 
     def forces(self, samples: Samples) -> FloatArray:
-        """Compute ground forces on each foot ``(N, feet, 3)`` [N] in the world's axes, from the efforts and the URDF;
-        NaN where they are unknown."""
+        """Compute ground forces on each foot ``(N, feet, 3)`` [N] in the world's axes, from the efforts, the URDF and
+        the known effects of joints; NaN where they are unknown."""
         q, v, a = self._robot.configuration(samples)
         ground_efforts = self._robot.joint_efforts(q, v, a) - samples.effort
+        if self.efforts is not None:
+            ground_efforts += self.efforts(samples)
         per_foot = [
             (inverse @ ground_efforts[:, joints, None])[:, :DIRECTIONS, 0]
             for joints, (_, inverse) in zip(self.joints, self._transmissions(q), strict=True)

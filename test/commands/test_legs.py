@@ -280,10 +280,36 @@ def reversed_hip(item: Recorded) -> Recorded:
     return item.changed(effort=signs * item.message.effort)
 
 
+def without_a_leg(item: Recorded) -> Recorded:
+    if item.topic != "/joint_states":
+        return item
+    silent = np.char.startswith(np.array(item.message.name), "FL_")
+    return item.changed(effort=np.where(silent, np.nan, item.message.effort))
+
+
+def with_friction(item: Recorded) -> Recorded:
+    """Of 1.5 N m at each joint, as much as a leg in the air weighs there."""
+    if item.topic != "/joint_states":
+        return item
+    return item.changed(effort=item.message.effort + 1.5 * np.tanh(item.message.velocity / 0.01))
+
+
+@pytest.mark.usefixtures("in_a_step")
+def test_a_leg_whose_joints_have_friction_is_in_the_air_all_the_same(folder: Path, tmp_path: Path) -> None:
+    """Which is known after a first look."""
+    bag = write_bag(tmp_path / "rubbed", map(with_friction, until(folder / "walk", 20)))
+    found = identified(bag, folder / "go2.urdf", hold_out=0.0)
+    assert not [each for each in found.warnings if "never long enough" in each]
+    assert np.all(np.isfinite([*found.rms.values()]))
+    friction = [effect.value for effect in found.effects if effect.name == "coulomb_friction"]
+    np.testing.assert_allclose(friction, 1.5, atol=0.4)
+
+
 @pytest.mark.usefixtures("in_a_step")
 @pytest.mark.parametrize(
     ("change", "seconds", "reason"),
     [
+        (without_a_leg, 20, "what it carries are not identified: ground reaction forces are unknown"),
         (late, 20, r"\b(9[4-9]|10[0-6]) ms late\b.*synchronise its clock"),
         (turned, 20, r"turned by about (2[5-9]|3[0-2]) degrees against its frame"),
         (reversed_hip, 20, "effort of joint 'FL_hip_joint' is reversed: with joint.FL_hip_joint.effort_gain: -1.0"),

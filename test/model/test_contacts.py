@@ -165,6 +165,25 @@ def test_a_foot_bears_what_its_leg_says() -> None:
     np.testing.assert_allclose(loads[:, [0, 2, 3]], 0.0, atol=1e-8)
 
 
+def test_known_friction_of_a_leg_is_no_load_of_its_foot() -> None:
+    """And under another gravity it stays known."""
+    model = go2(*FEET, effects=["viscous_friction", "rotor_inertia"])
+    samples, size = bent(model.robot, seed=4), len(model.nominal_inertias)
+    known = np.append(np.full(size, np.nan), np.random.default_rng(1).uniform(0.5, 1.0, len(model.coefficients)))
+    joints = [model.robot.joint_names.index(c.place_name) for c in model.coefficients]
+    efforts = samples.effort.copy()
+    for coefficient, joint, value in zip(model.coefficients, joints, known[size:], strict=True):
+        viscous = coefficient.effect.name == "viscous_friction"
+        efforts[:, joint] += value * (samples.velocity if viscous else samples.acceleration)[:, joint]
+    moon, beside = np.array([0.0, 0.0, -1.62]), model.with_known_loads(known)
+    for alone, informed in ((model, beside), (model.with_gravity(moon), beside.with_gravity(moon))):
+        assert alone.legs is not None
+        assert informed.legs is not None
+        rubbed, expected = with_values(samples, effort=efforts), alone.legs.loads(samples)
+        assert np.max(np.abs(alone.legs.loads(rubbed) - expected)) > 0.3
+        np.testing.assert_allclose(informed.legs.loads(rubbed), expected, atol=1e-9)
+
+
 def test_under_another_gravity_legs_are_of_that_robot() -> None:
     """Nothing is shared with the model that it is made of: both may be used at the same time."""
     model = go2(FEET[0], radius=0.0)
