@@ -213,25 +213,28 @@ def _fitted_effects(
     # The apparent motion of a joint at rest must not count as evidence.
     damping = REST_SPEED * np.sqrt(count) * np.eye(split.shape[1])
     described = np.append(described, np.zeros(np.count_nonzero(~positive)))
-    halves = _non_negative(np.concatenate([split, damping]), np.append(remainder, damping @ described))
+    rows = np.concatenate([np.column_stack([split, remainder]), np.column_stack([damping, damping @ described])])
+    halves = _non_negative(rows.T @ rows)
     fitted = halves[: len(positive)]
     fitted[~positive] -= halves[len(positive) :]
     column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), _LEAST_MOTION)
     return np.asarray(np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted))
 
 
-def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
-    """Return the ``x >= 0`` with the least ``|regressor x - targets|`` (Lawson & Hanson 1974); independent columns."""
-    x, free = np.zeros(regressor.shape[1]), np.zeros(regressor.shape[1], dtype=bool)
-    least = ROUNDING_OF_PRODUCTS * np.linalg.norm(regressor, axis=0) * np.linalg.norm(targets)
+def _non_negative(products: FloatArray) -> FloatArray:
+    """Return the ``x >= 0`` with the least ``|A x - b|`` (Lawson & Hanson 1974). ``products (k + 1, k + 1)``: those of
+    the columns ``[A b]``, which are independent."""
+    gram, slope = products[:-1, :-1], products[:-1, -1]
+    x, free = np.zeros(len(slope)), np.zeros(len(slope), dtype=bool)
+    least = ROUNDING_OF_PRODUCTS * np.sqrt(np.diag(gram) * products[-1, -1])
     for _ in range(3 * len(x)):
-        slopes = np.where(free, -np.inf, regressor.T @ (targets - regressor @ x) - least)
+        slopes = np.where(free, -np.inf, slope - gram @ x - least)
         if np.all(slopes <= 0.0):
             break
         free[np.argmax(slopes)] = True
         while np.any(free):
             best = np.zeros(len(x))
-            best[free] = np.linalg.lstsq(regressor[:, free], targets, rcond=None)[0]
+            best[free] = np.linalg.solve(gram[np.ix_(free, free)], slope[free])
             blocked = free & (best <= 0.0)
             if not np.any(blocked):
                 x = best
