@@ -224,9 +224,10 @@ def _fitted_effects(
 def _non_negative(products: FloatArray) -> FloatArray:
     """Return the ``x >= 0`` with the least ``|A x - b|`` (Lawson & Hanson 1974). ``products (k + 1, k + 1)``: those of
     the columns ``[A b]``, which are independent."""
-    gram, slope = products[:-1, :-1], products[:-1, -1]
+    sizes = np.sqrt(np.diag(products))[:-1]
+    gram, slope = products[:-1, :-1] / np.outer(sizes, sizes), products[:-1, -1] / sizes
     x, free = np.zeros(len(slope)), np.zeros(len(slope), dtype=bool)
-    least = ROUNDING_OF_PRODUCTS * np.sqrt(np.diag(gram) * products[-1, -1])
+    least = ROUNDING_OF_PRODUCTS * np.sqrt(products[-1, -1])
     for _ in range(3 * len(x)):
         slopes = np.where(free, -np.inf, slope - gram @ x - least)
         if np.all(slopes <= 0.0):
@@ -244,4 +245,4 @@ def _non_negative(products: FloatArray) -> FloatArray:
             fractions = np.where(blocked, x / distances, np.inf)
             free &= fractions > np.min(fractions)
             x = np.where(free, x + np.min(fractions) * (best - x), 0.0)
-    return x
+    return np.asarray(x / sizes)
