@@ -76,6 +76,9 @@ def test_masses_are_found(folder: Path) -> None:
     links = {link.name: link for link in found.links}
     total = sum(link.mass for link in links.values())
     assert total == pytest.approx(sum(body[0] for body in truth.values()), abs=0.15)
+    covariance, links_end = found.estimate.posterior.parameter_covariance, 10 * len(links)
+    std = np.sqrt(np.sum(covariance[:links_end:10, :links_end:10]))
+    assert std > 0.003 * total, "an accelerometer's bias is in all of it"
     trunk, true = links["base"], truth["base"]
     assert trunk.mass - 2.5 > robot.bodies[robot.body_names.index("base")].parameters[0], "the payload is found"
     assert abs(trunk.mass - true[0]) < 3.0 * trunk.std_mass

@@ -10,6 +10,7 @@ import pytest
 
 from geomid_ros.estimation import effect_selection
 from geomid_ros.estimation.effect_selection import file_fit, held_columns
+from geomid_ros.estimation.estimator import _masses
 from geomid_ros.estimation.fit import fit
 from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.population import Population
@@ -54,6 +55,20 @@ def test_what_a_file_lacks_is_made_up_for_by_the_rest(seed: int) -> None:
     assert error(case, found.within["urdf"]) < error(case, dropped)
     for place, link in enumerate(found.links):
         assert abs(found.within["urdf"][10 * place] - link.mass) < 3.0 * link.std_mass, link.name
+
+
+def test_sums_of_masses_are_known_to_a_file_as_well_as_to_the_estimate() -> None:
+    """Though each mass is not: they are neighbours' on the axis of a joint."""
+    found = solved(arm("arm3", 0, noise=0.05))
+    rows = _masses(found)
+    masses = slice(0, 10 * len(found.links), 10)
+    covariance = np.linalg.inv(rows.rows[:, masses].T @ rows.rows[:, masses])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [link.std_mass for link in found.links], rtol=0.01)
+    expected = found.posterior.parameter_covariance[masses, masses]
+    correlation = expected / np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.min(correlation) < -0.3
+    np.testing.assert_allclose(covariance, expected, atol=0.02 * np.max(expected))
+    np.testing.assert_allclose(rows.rows @ found.parameters, rows.targets)
 
 
 def test_links_change_only_for_a_better_prediction() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from files.recordings import BAGS
@@ -11,7 +14,7 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.resimulation.resimulate import CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import MESSAGES_FOR_RATE, GapReader, gap_pipeline, gap_session, message_rate
+from geomid_ros.session.gap import MESSAGES_FOR_RATE, GapReader, Identified, gap_pipeline, gap_session, message_rate
 from geomid_ros.session.recordings import Bags, Topics, read_samples, split_held_out
 from geomid_ros.session.session import Session
 from geomid_ros.signals.clocks import FEWEST
@@ -47,6 +50,14 @@ def test_the_highest_cutoff_is_one_that_every_part_of_a_recording_allows() -> No
         stamps = np.cumsum(20_000_000 + 1_000_000 * rng.normal(size=(2, MESSAGES_FOR_RATE)), axis=1).astype(np.int64)
         chosen = message_rate(stamps[0].tolist()) / LOWEST_RATE_PER_CUTOFF
         derivative_kernels(chosen, 1e-9 * float(np.median(np.diff(stamps[1, :FEWEST]))))
+
+
+def test_masses_that_identify_does_not_contradict_are_the_descriptions(session: Session) -> None:
+    nominal = session.model.nominal_inertias[::10]
+    off = np.array([0.0, 1.9, -2.1])
+    links = [SimpleNamespace(mass=mass + 0.3 * d, std_mass=0.3) for mass, d in zip(nominal, off, strict=True)]
+    estimate: Any = SimpleNamespace(links=links)
+    assert Identified(session, estimate).usual_masses == [0, 1]
 
 
 def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
