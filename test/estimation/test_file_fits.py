@@ -69,6 +69,11 @@ def test_sums_of_masses_are_known_to_a_file_as_well_as_to_the_estimate() -> None
     assert np.min(correlation) < -0.3
     np.testing.assert_allclose(covariance, expected, atol=0.02 * np.max(expected))
     np.testing.assert_allclose(rows.rows @ found.parameters, rows.targets)
+    far = replace(found, links=(*found.links[:-1], replace(found.links[-1], std=4.0 * found.links[-1].std)))
+    rows = _masses(far)
+    wider = np.linalg.inv(rows.rows[:, masses].T @ rows.rows[:, masses])
+    assert wider[-1, -1] == pytest.approx(16.0 * covariance[-1, -1], rel=0.01), "the metric is curved there"
+    np.testing.assert_allclose(wider[:-1], covariance[:-1], rtol=1e-6, atol=1e-9)
 
 
 def test_links_change_only_for_a_better_prediction() -> None:

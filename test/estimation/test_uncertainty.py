@@ -408,3 +408,7 @@ def test_what_gravity_loads_is_as_unsure_as_gravity() -> None:
     np.testing.assert_allclose(
         np.sqrt(after - before), share * np.abs(efforts), atol=0.02 * share * np.max(np.abs(efforts))
     )
+    deviations = [found.posterior.parameter_covariance[:size, :size].diagonal() for found in (exact, unsure)]
+    added = np.sqrt(np.maximum(deviations[1] - deviations[0], 0.0))[-10:] / np.abs(exact.parameters[size - 10 : size])
+    np.testing.assert_allclose(added[:4], share, rtol=0.4)
+    assert np.max(added[4:]) < 0.4 * share, "no gravity turns a body"

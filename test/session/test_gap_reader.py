@@ -12,9 +12,19 @@ from files.recordings import BAGS
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
+from geomid_ros.options import silent
 from geomid_ros.resimulation.resimulate import CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import MESSAGES_FOR_RATE, GapReader, Identified, gap_pipeline, gap_session, message_rate
+from geomid_ros.session.gap import (
+    MESSAGES_FOR_RATE,
+    GapReader,
+    GapSamples,
+    Identified,
+    find_gap_in_samples,
+    gap_pipeline,
+    gap_session,
+    message_rate,
+)
 from geomid_ros.session.recordings import Bags, Topics, read_samples, split_held_out
 from geomid_ros.session.session import Session
 from geomid_ros.signals.clocks import FEWEST
@@ -58,6 +68,14 @@ def test_masses_that_identify_does_not_contradict_are_the_descriptions(session: 
     links = [SimpleNamespace(mass=mass + 0.3 * d, std_mass=0.3) for mass, d in zip(nominal, off, strict=True)]
     estimate: Any = SimpleNamespace(links=links)
     assert Identified(session, estimate).usual_masses == [0, 1]
+
+
+def test_the_workflow_holds_them(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, Any] = {}
+    monkeypatch.setattr("geomid_ros.session.gap.find_gap", lambda *_, **options: given.update(options))
+    identified: Any = SimpleNamespace(effects={}, usual_masses=[1])
+    find_gap_in_samples(session, GapSamples(cutoff=8.0, train=[], held_out=[]), None, identified, silent)
+    assert given["masses_held"] == [1]
 
 
 def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -94,6 +94,23 @@ def test_it_is_read_from_the_file_beside_the_model_and_without_it_effects_are_kn
         prior_information(own)
 
 
+def test_the_posterior_knows_of_the_bias_of_its_own_accelerometer(
+    live: Session, estimate: Estimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That of the present one is another."""
+    own, share = identified_session(live, estimate), 0.02
+    exact, _ = prior_information(own)
+    monkeypatch.setattr(Session, "relative_mass_std", share)
+    found, _ = prior_information(own)
+    assert exact is not None
+    assert found is not None
+    moved = np.zeros(exact.rows.shape[1])
+    moved[: exact.links] = share * estimate.parameters[: exact.links] * np.resize([1.0] * 4 + [0.0] * 6, exact.links)
+    before, after = (known.rows.T @ known.rows for known in (exact, found))
+    lost = before @ moved
+    np.testing.assert_allclose(after, before - np.outer(lost, lost) / (1.0 + moved @ lost), rtol=1e-6, atol=1e-6)
+
+
 def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session, estimate: Estimate) -> None:
     """An offset that was hardly known is the same one now; were it known by itself, it might be what has changed."""
     own = identified_session(live, estimate)
