@@ -89,6 +89,10 @@ class UncertainInertia:
         """95 % interval of the mass [kg]."""
         return interval_of_positive(self.mass, self.std_mass)
 
+    def may_weigh(self, mass: float) -> bool:
+        """True if a ``mass`` [kg] is within 95 % of the standard deviation of this one."""
+        return abs(self.mass - mass) < STDS_OF_95 * self.std_mass
+
     @property
     def has_std(self) -> bool:
         """True if any standard deviation is known."""

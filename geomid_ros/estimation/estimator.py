@@ -248,7 +248,7 @@ def _uncontradicted_masses(found: Estimate, fitted: Fit) -> Iterator[tuple[int, 
     problem = fitted.problem
     for index, (link, mass) in enumerate(zip(found.links, problem.prior_inertias[::SIZE], strict=True)):
         is_free = link.outlier and index not in problem.masses_held and not fitted.budget_exhausted
-        if is_free and abs(link.mass - mass) < STDS_OF_95 * link.std_mass:
+        if is_free and link.may_weigh(mass):
             yield index, float(found.prior_stds[index])
 
 
@@ -442,9 +442,8 @@ def _minimum(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole:
 
 
 def _common_scale(point: Point, relative: float) -> FloatArray:
-    """Tangent coordinates ``(10 links,)`` of a ``relative`` increase of all masses and first moments, which gravity
-    acts on."""
-    increase = relative * pseudo_inertia.to_parameters(point.pseudo_inertias) * ([1.0] * 4 + [0.0] * 6)
+    """Tangent coordinates ``(10 links,)`` of a ``relative`` increase of all weights."""
+    increase = relative * pseudo_inertia.weights_of(pseudo_inertia.to_parameters(point.pseudo_inertias))
     return np.asarray(np.linalg.solve(point.links_jacobian, increase[:, :, None]).ravel(), dtype=np.float64)
 
 

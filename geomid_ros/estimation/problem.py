@@ -74,11 +74,9 @@ class Problem:
         if not self.masses_held:
             return self
         links = np.array([*self.masses_held])
-        columns, kept = SIZE * links, np.sqrt(np.maximum(self.default_stds**-2.0 - prior_stds**-2.0, 0.0))[links]
-        masses, rows = point.parameters[columns], np.zeros((len(links), self.manifold.dimension))
-        rows[np.arange(len(links)), columns] = kept / masses
-        off = np.log(masses / self.prior_inertias[columns])
-        return self.with_known_rows(WeighedRows(rows, kept * (1.0 - off)))
+        rows, columns = held_mass_rows(point, links, self.default_stds, prior_stds), SIZE * links
+        off = np.log(point.parameters[columns] / self.prior_inertias[columns])
+        return self.with_known_rows(WeighedRows(rows, rows @ point.parameters * (1.0 - off)))
 
     @cached_property
     def default_stds(self) -> FloatArray:
@@ -232,6 +230,15 @@ class Problem:
     def first_noise(self) -> FloatArray:
         """Standard deviations ``(groups,)`` with which the search for the noise starts."""
         return self._with_given(self.least_sigmas)
+
+
+def held_mass_rows(point: Point, held: IntArray, default_stds: FloatArray, prior_stds: FloatArray) -> FloatArray:
+    """Rows ``(n, D)`` of the logarithms of the masses of ``held (n,)`` links, linearised at a ``point``: they keep the
+    prior std of these at the default ``(links,)`` where that of the link, ``prior_stds (links,)``, is larger."""
+    columns, rows = SIZE * held, np.zeros((len(held), len(point.parameters)))
+    kept = np.sqrt(np.maximum(default_stds**-2.0 - prior_stds**-2.0, 0.0))[held]
+    rows[np.arange(len(held)), columns] = kept / point.parameters[columns]
+    return rows
 
 
 def required_columns(model: MeasurementModel) -> IntArray:

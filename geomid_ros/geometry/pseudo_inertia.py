@@ -92,6 +92,11 @@ def moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:
     return to_parameters(spd.congruence(placement, from_parameters(parameters)))
 
 
+def weights_of(parameters: FloatArray) -> FloatArray:
+    """Return parameters ``(..., 10)`` without moments of inertia: gravity acts on masses and first moments."""
+    return np.asarray(parameters * ([1.0] * 4 + [0.0] * 6))
+
+
 def centre_of_mass(parameters: FloatArray) -> FloatArray:
     """Centre of mass ``(..., 3)`` in the link frame [m], of parameters ``(..., 10)``."""
     return parameters[..., 1:4] / parameters[..., :1]

@@ -17,6 +17,7 @@ import numpy as np
 
 from geomid_ros.estimation.fit import prior_std_cost, reestimated_prior_stds
 from geomid_ros.estimation.link_priors import alike_rows, individual_std_cost, reestimated_individual_stds
+from geomid_ros.estimation.problem import held_mass_rows
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, fit_scales
 from geomid_ros.estimation.uncertainty import with_enlarged_prior
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -234,18 +235,14 @@ def _free_fit(
     individual_stds = prior.separate_prior_stds if start is None else start.separate_prior_stds
     ends = [len(link_stds), len(link_stds) + 1]
 
-    def mass_rows(links: FloatArray) -> FloatArray:
-        """Rows in tangent coordinates at the prior that keep the prior std of each mass that is held at its default."""
-        held = np.array(prior.masses_held, dtype=np.intp)
-        kept = np.sqrt(np.maximum(prior.link_prior_stds**-2.0 - links**-2.0, 0.0))[held]
-        rows = np.zeros((len(held), manifold.dimension))
-        rows[np.arange(len(held)), 10 * held] = kept / prior.inertias[10 * held]
-        return manifold.offset_rows(prior_point, rows)
+    masses_held = np.array(prior.masses_held, dtype=np.int64)
 
     def objective(prior_scales: FloatArray) -> ProfileObjective:
         links, inflation, individual = np.split(prior_scales, ends)
         precision = np.append(np.repeat(links, 10) ** -2.0, weights[payloads_at:])
-        held = np.concatenate([alike_rows(prior.alike, individual, manifold.dimension), mass_rows(links)])
+        masses = held_mass_rows(prior_point, masses_held, prior.link_prior_stds, links)
+        alike = alike_rows(prior.alike, individual, manifold.dimension)
+        held = np.concatenate([alike, manifold.offset_rows(prior_point, masses)])
         return ProfileObjective(profile, precision, earlier / inflation + zeros + _products(held, np.zeros(len(held))))
 
     def likely(point: Point, hessian: FloatArray, previous: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import STDS_OF_95, Estimate
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import BEYOND_PRECISION
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.bags.bag import Bag
@@ -27,6 +27,7 @@ from geomid_ros.gap.candidates import EffectsByPlace, library_columns
 from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, find_gap, remainder_of_model, residual_rms
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
 from geomid_ros.model.samples import Samples
@@ -92,8 +93,8 @@ class Identified:
     def usual_masses(self) -> list[int]:
         """Links whose mass may be that of the description."""
         nominal = self.session.model.nominal_inertias[::10]
-        pairs = enumerate(zip(self.estimate.links, nominal, strict=True))
-        return [i for i, (link, mass) in pairs if abs(link.mass - mass) < STDS_OF_95 * link.std_mass]
+        pairs = zip(self.estimate.links, nominal, strict=True)
+        return [index for index, (link, mass) in enumerate(pairs) if link.may_weigh(mass)]
 
 
 def gap_session(urdf: str, configuration: Configuration, source: str) -> Session:
@@ -217,7 +218,7 @@ def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatAr
     else:
         return None, deviations
     if session.relative_mass_std:
-        masses = prior[: known.links].reshape(-1, 10) * ([1.0] * 4 + [0.0] * 6)  # gravity acts on these
+        masses = pseudo_inertia.weights_of(prior[: known.links].reshape(-1, 10))
         scale = np.sqrt(unknown_scales) * session.relative_mass_std
         known, _ = known.marginalised(scale * known.rows[:, : known.links] @ masses.reshape(-1, 1))
     return known, deviations

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from files.recordings import BAGS
 
+from geomid_ros.estimation.estimate import UncertainInertia
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
@@ -65,7 +66,8 @@ def test_the_highest_cutoff_is_one_that_every_part_of_a_recording_allows() -> No
 def test_masses_that_identify_does_not_contradict_are_the_descriptions(session: Session) -> None:
     nominal = session.model.nominal_inertias[::10]
     off = np.array([0.0, 1.9, -2.1])
-    links = [SimpleNamespace(mass=mass + 0.3 * d, std_mass=0.3) for mass, d in zip(nominal, off, strict=True)]
+    bodies = np.column_stack([nominal + 0.3 * off, np.zeros((3, 9))])
+    links = [UncertainInertia(parameters=body, std=np.full(10, 0.3)) for body in bodies]
     estimate: Any = SimpleNamespace(links=links)
     assert Identified(session, estimate).usual_masses == [0, 1]
 

@@ -16,7 +16,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import IMU
-from geomid_ros.signals.moving_base import NO_SPECIFIC_FORCE, TOO_SMALL, TURNS_OTHERWISE, Stance
+from geomid_ros.signals.moving_base import NO_GRAVITY, TURNS_OTHERWISE, Stance
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
@@ -188,10 +188,10 @@ def test_samples_do_not_depend_on_how_many_messages_come_at_once() -> None:
 @pytest.mark.parametrize(
     ("scale", "fault"),
     [
-        (1.0 / 9.81, TOO_SMALL),
-        (0.0, TOO_SMALL),
-        (0.66, NO_SPECIFIC_FORCE),
-        (1.34, NO_SPECIFIC_FORCE),
+        (1.0 / 9.81, NO_GRAVITY),
+        (0.0, NO_GRAVITY),
+        (0.66, NO_GRAVITY),
+        (1.34, NO_GRAVITY),
         (0.72, ""),
         (1.28, ""),
     ],
