@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from geomid_ros.api.feedforward import Feedforward, feedforward
     from geomid_ros.api.fleet import FleetIdentification, identify_fleet
     from geomid_ros.api.gap import Gap, find_gap
-    from geomid_ros.api.identify import Identification, identify, weigh_payload
+    from geomid_ros.api.identify import Identification, identify
+    from geomid_ros.api.payload import weigh_payload
     from geomid_ros.api.rebuild import rebuild_report
     from geomid_ros.api.verify import Verification, verify
     from geomid_ros.errors import GeomidError, InputError
@@ -85,7 +86,8 @@ _NAMES = {
     "geomid_ros.api.feedforward": ("Feedforward", "feedforward"),
     "geomid_ros.api.fleet": ("FleetIdentification", "identify_fleet"),
     "geomid_ros.api.gap": ("Gap", "find_gap"),
-    "geomid_ros.api.identify": ("Identification", "identify", "weigh_payload"),
+    "geomid_ros.api.identify": ("Identification", "identify"),
+    "geomid_ros.api.payload": ("weigh_payload",),
     "geomid_ros.api.rebuild": ("rebuild_report",),
     "geomid_ros.api.verify": ("Verification", "verify"),
     "geomid_ros.errors": ("GeomidError", "InputError"),

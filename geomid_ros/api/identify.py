@@ -1,4 +1,4 @@
-"""Identification of link inertias from rosbags (estimate, prediction error, verdict and files), and of a payload."""
+"""Identification of link inertias from rosbags: estimate, prediction error, verdict and files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomid_ros.api.rebuild import tables, write_tables
-from geomid_ros.api.robot import bag_paths, check_command_efforts, configuration, description, recordings, topics
+from geomid_ros.api.robot import configuration, description, recordings
 from geomid_ros.checks.candidates import ROUNDS
 from geomid_ros.checks.moving_base import never_lifted
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
@@ -22,12 +22,11 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import STDS_OF_95, EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.exports.handover import DescriptionTest, FileTest
-from geomid_ros.exports.payload import Payload, identify_payload_at
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effects_file import write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.posterior import POSTERIOR, posterior_path, read_posterior, write_posterior
+from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import READERS, URDF, with_same_files
 from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.model.channels import Channel
@@ -37,8 +36,7 @@ from geomid_ros.options import Progress, silent, takes
 from geomid_ros.report.result_pages import write_identification_page
 from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.gap import remainder_of
-from geomid_ros.session.options import IdentifyOptions, PathLike, Paths, PayloadOptions, paths
-from geomid_ros.session.payload import payload_session
+from geomid_ros.session.options import IdentifyOptions, PathLike
 from geomid_ros.session.recordings import Bags, read_fitted, train
 from geomid_ros.session.session import Session, document, identified_urdf, installed_version
 from geomid_ros.types import FloatArray
@@ -421,42 +419,3 @@ def _read(session: Session, bags: Bags, progress: Progress) -> list[Samples]:
     fitted: list[Samples] = []
     train(session, bags, progress, fitted.append)
     return fitted
-
-
-@takes(PayloadOptions)
-def weigh_payload(options: PayloadOptions) -> Payload:
-    """Identify a payload. Both recordings share links and friction; the loaded one has an additional body.
-
-    ``geomid payload`` calls this; its options have the same names. All joints must move in both recordings; the motions
-    may differ.
-
-    Raises:
-        InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
-    """
-    model = _estimate_without(options.empty)
-    posterior = None if model is None else read_posterior(posterior_path(model))
-    parameters = check_command_efforts(options, configuration(options, model))
-    both = bag_paths(options.empty) if model is None else [], bag_paths(options.loaded)
-    robot = description(options, [*both[0], *both[1]], model)
-    session, (before, after) = robot.read(
-        payload_session, parameters, lambda session: [_all_samples(session, bags, options) for bags in both]
-    )
-    session.review.check_description()
-    options.progress("solving", 0.0)
-    return identify_payload_at(
-        session, posterior or before, after, parameters["payload.frame"], parameters["payload.gain"]
-    )
-
-
-def _estimate_without(empty: Paths) -> Path | None:
-    """Return the estimate.json, if one is given instead of recordings."""
-    given = paths(empty)
-    return given[0] if len(given) == 1 and given[0].suffix == ".json" else None
-
-
-def _all_samples(session: Session, bags: Sequence[Path], options: PayloadOptions) -> Sequence[Samples]:
-    """Read all samples of the bags."""
-    if not bags:
-        return ()
-    session.review.check_separately()
-    return read_fitted(session, Bags(fitted=bags, hold_out=0.0, topics=topics(options)), options.progress)

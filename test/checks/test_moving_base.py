@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from model.robots import random_samples, urdf, with_values
 
-from geomid_ros.checks.moving_base import gyroscope, never_lifted, on_all_feet, reversed_efforts
+from geomid_ros.checks.moving_base import gyroscope, never_lifted, on_all_feet, reversed_efforts, unknown_base
 from geomid_ros.checks.recording_check import CheckResult, CheckTask, Excerpt, RecordingCheck
 from geomid_ros.checks.unexplained import unexplained_base
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -175,3 +175,15 @@ def test_a_leg_of_which_any_joint_has_been_fitted_was_in_the_air() -> None:
     estimate: Any = SimpleNamespace(channels=ROBOT.joint_names, rms=rms)
     (sentence,) = never_lifted(model, estimate)
     assert sentence.startswith(f"the training data show {FEET[1]} never long enough")
+
+
+def test_a_base_is_known_by_any_of_its_channels() -> None:
+    """And of a robot without legs nothing is asked."""
+    model = MeasurementModel(ROBOT, (), contacts=[Contact(foot, 0.02) for foot in FEET])
+    rms = np.full(len(model.channels), np.nan)
+    estimate: Any = SimpleNamespace(rms=rms)
+    assert [cause.kind for cause in unknown_base(model, estimate)] == ["ground"]
+    rms[model.layout.base.start] = 1.0
+    assert unknown_base(model, estimate) == []
+    arm: Any = SimpleNamespace(legs=None, layout=SimpleNamespace(base=()))
+    assert unknown_base(arm, estimate) == []
