@@ -188,7 +188,8 @@ def test_it_ends_where_something_else_has_changed(adapting: Adapting) -> None:
         gaps.publish(String(data=json.dumps({"gaps": channels})))
         lockstep.run(10)
     assert is_left_out(2)
-    assert "off until" not in adapting.relay.output[begin:]
+    assert "has changed" not in adapting.relay.output[begin:]
+    adapting.reset()  # a busy machine may have been late
     gaps.publish(String(data=json.dumps({"gaps": [{"channel": "/wrench/fx"}, {"channel": "joint2"}]})))
     observer.wait_for(lambda: "off until ~/reset: joint 'joint2' has changed" in adapting.relay.output, "the end")
 
