@@ -45,7 +45,7 @@ class Checkpoint:
         solving: Checksum of everything but the rows that the estimate depends on.
         number: Increases from checkpoint to checkpoint; of a written one.
         findings: Suspected faults of the recording that the rows are from.
-        carried: State of the payload watch if something is carried.
+        watch: State of the payload watch, if there is one.
     """
 
     meaning: Mapping[str, Any]
@@ -55,7 +55,7 @@ class Checkpoint:
     solving: str = ""
     number: int | None = None
     findings: tuple[RecordingFault, ...] = ()
-    carried: WatchMemory | None = None
+    watch: WatchMemory | None = None
 
 
 def last_meaning(folder: Path) -> Mapping[str, Any]:

@@ -160,7 +160,7 @@ class Solver:
     def begin_anew(self) -> None:
         """Discard what was learned, or is being solved, from rows some of which were taken back."""
         with self._lock:
-            self._session.carried = None
+            self._session.watch = None
             self.detector = self._new_detector()
             self.changed_sensors = ()
             self.estimate = None
@@ -190,14 +190,15 @@ class Solver:
 
     def _new_detector(self) -> ChangeDetector:
         """Return a detector that sees one instance of each effect only, of candidates that of the middle of their grid.
-        All instances together would fit the change, and take long to learn. It goes on with what is carried."""
+        All instances together would fit the change, and take long to learn. It goes on with what is
+        known of payloads."""
         model = self._session.model
         columns = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
         channels = [replace(c, columns=np.intersect1d(c.columns, columns)) for c in model.channels]
         payload = payload_watch(self._session, channels, ALARM)
-        if payload is not None and self._session.carried is not None:
-            with self._failures.counted("what is carried could not be restored"):
-                payload.restore(self._session.carried)
+        if payload is not None and self._session.watch is not None:
+            with self._failures.counted("what is known of payloads could not be restored"):
+                payload.restore(self._session.watch)
         return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time, payload)
 
     def _solve_repeatedly(self) -> None:
@@ -289,7 +290,7 @@ class Solver:
         """Leave out the rows with a payload, and return the unchecked samples that are known to be without, with the
         numbers of the next ones."""
         identifier, known, judged = self._session.identifier, detector.weighed_before, detector.searched_until
-        self._session.carried = None if detector.payload is None else detector.payload.memory
+        self._session.watch = None if detector.payload is None else detector.payload.memory
         if self.payload is not None:
             if identifier.leave_out(_CARRIED, range(len(self._session.model.channels)), known):
                 self._solved_rows = 0  # the estimate may have learned from them

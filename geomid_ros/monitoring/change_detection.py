@@ -145,17 +145,18 @@ class ChangeDetector:
 
     @property
     def changes(self) -> list[tuple[int, int]]:
-        """Stamps [ns] and sample indices since which gaps are open or a payload is carried."""
+        """Stamps [ns] and sample indices since which gaps are open, any payload is carried, and the present one is."""
         changes = [(gap.since, gap.first_sample) for gap in self.gaps if gap.since is not None]
-        carried = None if self.payload is None else self.payload.payload
-        return changes if carried is None else [*changes, (carried.since, carried.first_sample)]
+        if (carried := None if self.payload is None else self.payload.payload) is not None:
+            changes += [(stamp, carried.first_sample) for stamp in (carried.picked_up, carried.since)]
+        return changes
 
     @property
     def weighed_before(self) -> int:
         """Index of the sample before which it is known that no payload was carried since the last one was put down."""
         if self.payload is not None and self.payload.payload is not None:
             return self.payload.payload.first_sample - LATE
-        noticed = self.payload is not None and any(channel.ready for channel in self._channels)
+        noticed = self.payload is not None and self.payload.notices
         return self.searched_until - (REMEMBERED * PART + LATE) * noticed
 
     def unchanged_before(self, channels: Sequence[int]) -> int:

@@ -2,8 +2,8 @@
 
 Three hypotheses explain the rows since each recent block: the robot is as it was; the link carries a payload, with a
 wide prior; or an unknown effect acts on every channel, as large as observed and different in every block. A payload is
-accepted if its evidence exceeds both others, and dropped if the last rows are likelier without it (change points of
-product partitions: Adams, MacKay 2007).
+accepted if its evidence exceeds both others, dropped if the last rows are likelier without it, and exchanged if they
+and those before are likelier with one each (change points of product partitions: Adams, MacKay 2007).
 
 Earlier rows enter as their information M about the robot. The rows ``[A e]`` of a channel, with prediction errors e and
 the payload's columns B among A, determine the payload's likelihood, with ``V = M + A'A``, by
@@ -22,13 +22,14 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_products import usable
 from geomid_ros.estimation.estimate import LACKING, Estimate, Predictor, interval_of_positive
 from geomid_ros.estimation.tolerances import LARGEST_STEP, ROUNDING, ROUNDS, SETTLED
 from geomid_ros.geometry import spd
-from geomid_ros.geometry.manifold import ONE_BODY, Point
+from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold, Point
 from geomid_ros.geometry.spd import SIZE
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement_model import Rows
@@ -51,7 +52,7 @@ class CarriedPayload:
     """Payload of a ``link``, in the link's frame.
 
     ``parameters (10,)`` and their ``covariance``; ``columns``: of the link in the model; ``since``: stamp [ns] since
-    which it is carried, and ``first_sample``: index of the sample at that stamp.
+    which it is carried; ``picked_up``: stamp since which anything is, and ``first_sample``: index of the sample then.
     """
 
     link: str
@@ -59,6 +60,7 @@ class CarriedPayload:
     parameters: FloatArray
     covariance: FloatArray
     since: int
+    picked_up: int
     first_sample: int
 
     @property
@@ -79,32 +81,42 @@ class CarriedPayload:
 
 
 @dataclass(frozen=True, eq=False)
-class WatchMemory:
-    """State of a :class:`PayloadWatch` while a payload is carried.
+class CarriedMemory:
+    """``parameters``, ``covariance`` and ``since`` of a :class:`CarriedPayload`; sums of ``products``, and numbers of
+    ``rows`` and ``blocks`` by channel, since then."""
 
-    Attributes:
-        link, parameters, covariance, since: As of :class:`CarriedPayload`.
-        means, information: The robot's parameters without a payload and their information, by channel.
-        noise: ``(channels, 2)``, see :class:`ChannelNoise`.
-        products, rows, blocks: Sums since the payload is carried.
-    """
-
-    link: str
     parameters: FloatArray
     covariance: FloatArray
     since: int
-    means: tuple[FloatArray, ...]
-    information: tuple[FloatArray, ...]
-    noise: FloatArray
     products: tuple[FloatArray, ...]
     rows: FloatArray
     blocks: FloatArray
 
+
+@dataclass(frozen=True, eq=False)
+class WatchMemory:
+    """State of a :class:`PayloadWatch` for a ``link``.
+
+    Attributes:
+        link: The link.
+        means, information: The robot's parameters without a payload and their information, by channel.
+        noise: ``(channels, 2)``, see :class:`ChannelNoise`.
+        carried: The present payload; None if there is none.
+    """
+
+    link: str
+    means: tuple[FloatArray, ...]
+    information: tuple[FloatArray, ...]
+    noise: FloatArray
+    carried: CarriedMemory | None = None
+
     @property
     def shapes(self) -> list[tuple[int, ...]]:
         """Shapes of all arrays."""
-        arrays = (self.parameters, self.covariance, self.noise, self.rows, self.blocks)
-        return [array.shape for array in (*arrays, *self.means, *self.information, *self.products)]
+        arrays = [self.noise, *self.means, *self.information]
+        if (load := self.carried) is not None:
+            arrays += [load.parameters, load.covariance, load.rows, load.blocks, *load.products]
+        return [array.shape for array in arrays]
 
 
 def with_payload(estimate: Estimate, carried: CarriedPayload | None) -> Estimate:
@@ -129,6 +141,10 @@ class _Block:
     def __add__(self, later: _Block) -> _Block:
         products = tuple(a + b for a, b in zip(self.products, later.products, strict=True))
         return replace(self, products=products, rows=self.rows + later.rows, blocks=self.blocks + later.blocks)
+
+    def __sub__(self, later: _Block) -> _Block:
+        products = tuple(a - b for a, b in zip(self.products, later.products, strict=True))
+        return replace(self, products=products, rows=self.rows - later.rows, blocks=self.blocks - later.blocks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,8 +187,8 @@ class _Baseline:
         places = np.arange(len(self.columns))
         self.body = places[(self.columns >= body.start) & (self.columns < body.stop)]
         self._effects = places[self.columns >= links]  # coefficients of effects
-        self.mean = np.zeros(len(self.columns))
-        self.information = np.zeros((len(self.columns), len(self.columns)))
+        self.mean = frozen(np.zeros(len(self.columns)))
+        self.information = frozen(np.zeros((len(self.columns), len(self.columns))))
 
     def products(self, coefficients: FloatArray, targets: FloatArray) -> FloatArray:
         """Sums of products of rows ``(N, D)``."""
@@ -188,19 +204,24 @@ class _Baseline:
 
     def learn(self, products: FloatArray, share: float) -> FloatArray:
         """Learn from rows; those before keep a ``share`` of their weight. Return the step of the mean."""
-        self.information *= share
+        self.information = share * self.information
         step = spd.solve_or_least_squares(self.whole(products), products[:-1, -1])
-        self.information += products[:-1, :-1]
-        self.mean += step
+        self.information = frozen(self.information + products[:-1, :-1])
+        self.mean = frozen(self.mean + step)
         return step
 
-    def reduced(self, products: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """``[[H h], [h' S]] (11, 11)`` of rows; and the same for the channel's effects, ``(k + 1, k + 1)``."""
-        kept = np.concatenate([self._effects, self.body, [len(self.columns)]])
-        right = products[:-1, kept]
-        total = products[np.ix_(kept, kept)] - right.T @ spd.solve_or_least_squares(self.whole(products), right)
-        count, rest = len(self._effects), len(self._effects) + np.arange(SIZE + 1)
-        effects_only = np.append(np.arange(count), rest[-1])
+    def reduced(self, parts: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """``[[H h], [h' S]] (10 n + 1, 10 n + 1)`` of rows in n parts, with a payload in each; and the same for the
+        channel's effects in all of them, ``(k + 1, k + 1)``."""
+        count, size = len(self._effects), len(self._effects) + SIZE * len(parts) + 1
+        kept, effects_only = np.concatenate([self._effects, self.body, [len(self.columns)]]), np.arange(count)
+        total, right = np.zeros((size, size)), np.zeros((len(self.columns), size))
+        for index, products in enumerate(parts):
+            places = np.concatenate([effects_only, count + SIZE * index + np.arange(SIZE), [size - 1]])
+            total[np.ix_(places, places)] += products[np.ix_(kept, kept)]
+            right[:, places] += products[:-1, kept]
+        total -= right.T @ spd.solve_or_least_squares(self.whole(np.sum(parts, axis=0)), right)
+        effects_only = np.append(effects_only, size - 1)
         return total[count:, count:], total[np.ix_(effects_only, effects_only)]
 
 
@@ -239,45 +260,49 @@ class PayloadWatch:
         self._surprise = threshold
         self._recent: deque[tuple[_Block, FloatArray | None]] = deque()  # with the payload that was known before
         self._loaded: _Block | None = None  # sum since the payload is carried
-        self._noise: Sequence[ChannelNoise] = ()
+        self._picked_up = 0, 0  # stamp and index of the first sample with any payload
+        self._noise: Sequence[ChannelNoise] = [ChannelNoise(1.0, 0.0)] * len(channels)
         self._share = 1.0  # weight that rows learned so far keep after newer rows without a payload
         self.payload: CarriedPayload | None = None
         """Present payload; None if there is none."""
 
     @property
-    def memory(self) -> WatchMemory | None:
-        """State for :meth:`restore`; None if there is no payload."""
-        if self.payload is None or self._loaded is None:
-            return None
-        return WatchMemory(
-            link=self._link,
-            parameters=self.payload.parameters,
-            covariance=self.payload.covariance,
-            since=self.payload.since,
-            means=tuple(frozen(baseline.mean) for baseline in self._baselines),
-            information=tuple(frozen(baseline.information) for baseline in self._baselines),
-            noise=np.array(self._noise),
-            products=self._loaded.products,
-            rows=self._loaded.rows,
-            blocks=self._loaded.blocks,
-        )
+    def notices(self) -> bool:
+        """True if it is known of any channel what is normal, so that a payload can be noticed."""
+        return any(noise.independent > 0.0 for noise in self._noise)
+
+    @property
+    def memory(self) -> WatchMemory:
+        """State for :meth:`restore`, apart from the last rows without a payload."""
+        load = None
+        if self.payload is not None and self._loaded is not None:
+            body, loaded = self.payload, self._loaded
+            load = CarriedMemory(
+                body.parameters, body.covariance, body.since, loaded.products, loaded.rows, loaded.blocks
+            )
+        means = tuple(baseline.mean for baseline in self._baselines)
+        information = tuple(baseline.information for baseline in self._baselines)
+        return WatchMemory(self._link, means, information, np.array(self._noise), load)
 
     def restore(self, memory: WatchMemory) -> None:
-        """Go on with the payload of another watch of the same channels, from sample 0 on; a payload of another link is
+        """Go on from the state of another watch of the same channels, from sample 0 on; that of another link is
         ignored. Raises InputError, and changes nothing, for a state that no such watch can have."""
         if memory.link != self._link:
             return
-        sizes, count = [len(baseline.mean) for baseline in self._baselines], len(self._baselines)
-        fixed: list[tuple[int, ...]] = [(SIZE,), (SIZE, SIZE), (count, 2), (count,), (count,)]
-        widths = [(size,) for size in sizes], [(size, size) for size in sizes], [(size + 1, size + 1) for size in sizes]
-        if memory.shapes != [*fixed, *widths[0], *widths[1], *widths[2]]:
-            raise InputError(f"the payload of '{self._link}' has arrays of other shapes than this model's")
-        body, covariance = frozen(ONE_BODY.point(memory.parameters).parameters), frozen(memory.covariance)
+        sizes, count, load = [len(baseline.mean) for baseline in self._baselines], len(self._baselines), memory.carried
+        expected: list[tuple[int, ...]] = [(count, 2), *((size,) for size in sizes), *((size, size) for size in sizes)]
+        if load is not None:
+            expected += [(SIZE,), (SIZE, SIZE), (count,), (count,), *((size + 1, size + 1) for size in sizes)]
+        if memory.shapes != expected:
+            raise InputError(f"a memory of payloads of '{self._link}' has arrays of other shapes than this model's")
+        if load is not None:
+            body, covariance = frozen(ONE_BODY.point(load.parameters).parameters), frozen(load.covariance)
+            self._loaded = _Block(load.products, load.rows, load.blocks, 0, load.since)
+            self._picked_up = load.since, 0
+            self.payload = CarriedPayload(self._link, self._columns, body, covariance, load.since, *self._picked_up)
         for baseline, mean, information in zip(self._baselines, memory.means, memory.information, strict=True):
-            baseline.mean, baseline.information = mean.copy(), information.copy()
+            baseline.mean, baseline.information = mean, information
         self._noise = [ChannelNoise(*row) for row in memory.noise.tolist()]
-        self._loaded = _Block(memory.products, memory.rows, memory.blocks, 0, memory.since)
-        self.payload = CarriedPayload(self._link, self._columns, body, covariance, memory.since, 0)
 
     def update(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[ChannelNoise], retained: float) -> bool:
         """Take a block of rows. Return True if a payload was picked up or put down in it.
@@ -290,7 +315,8 @@ class PayloadWatch:
             retained: fraction of their weight that earlier rows keep.
         """
         if self.payload is None:
-            self._noise = noise
+            known = zip(noise, self._noise, strict=True)
+            self._noise = [new if new.independent > 0.0 else old for new, old in known]
             self._share *= retained
         measured = usable(rows.coefficients, rows.targets)
         products = tuple(
@@ -300,10 +326,10 @@ class PayloadWatch:
         counts = np.count_nonzero(measured, axis=0).astype(np.float64)
         block = _Block(products, counts, counts / len(stamps), first, int(stamps[0]))
         self._recent.append((block, None if self.payload is None else self.payload.parameters))
-        changed = self._take() if self._loaded is None else self._drop()
-        if self._loaded is not None and self.payload is not None and not changed:
-            loaded = self._loaded + block
-            self._note(loaded, self._fit(loaded, ONE_BODY.point(self.payload.parameters)))
+        if self._loaded is None or self.payload is None:
+            changed = self._take()
+        else:
+            changed = self._drop() or self._exchange(self.payload.parameters, self._loaded + block)
         if len(self._recent) == 2 * REMEMBERED:
             oldest = _sum([self._recent.popleft()[0] for _ in range(REMEMBERED)])
             if self._loaded is None:
@@ -316,19 +342,19 @@ class PayloadWatch:
         for place, baseline in enumerate(self._baselines):
             step = np.append(baseline.learn(block.products[place], share), -1.0)
             for later, _ in self._recent:
-                products = later.products[place]
-                errors = -products @ step  # of the rows, with the new mean
-                products[-1, :-1] = products[:-1, -1] = errors[:-1]
-                products[-1, -1] = -errors @ step
+                later.products[place][:] = _with_other_errors(later.products[place], step)
 
-    def _likelihood(self, block: _Block) -> _Likelihood:
-        parts, vagueness, unknown, joints = [np.zeros((SIZE + 1, SIZE + 1))], 0.0, 0.0, self._surprise
-        for baseline, products, rows, blocks, noise in zip(
-            self._baselines, block.products, block.rows, block.blocks, self._noise, strict=True
+    def _likelihood(self, *blocks_of_bodies: _Block) -> _Likelihood:
+        """Likelihood of a payload in each of n blocks."""
+        size, whole = SIZE * len(blocks_of_bodies) + 1, _sum(blocks_of_bodies)
+        parts, vagueness, unknown, joints = [np.zeros((size, size))], 0.0, 0.0, self._surprise
+        for place, (baseline, rows, blocks, noise) in enumerate(
+            zip(self._baselines, whole.rows, whole.blocks, self._noise, strict=True)
         ):
             if len(baseline.body) < SIZE or rows * noise.independent <= 0.0:
                 continue
-            weighted, effects_only = (noise.independent / noise.variance * part for part in baseline.reduced(products))
+            reduced = baseline.reduced([block.products[place] for block in blocks_of_bodies])
+            weighted, effects_only = (noise.independent / noise.variance * part for part in reduced)
             squares = float(weighted[-1, -1])
             excess = max((squares - rows * noise.independent) / blocks, 0.0)
             unknown += 0.5 * blocks * max(excess - 1.0 - float(np.log(max(excess, 1.0))), 0.0)
@@ -354,16 +380,20 @@ class PayloadWatch:
 
     def _take(self) -> bool:
         """Accept a payload if the last rows show one."""
-        last = self._last
-        ends = [_sum(last[count - 1 :: -1]) for count in (_SOON, REMEMBERED) if len(last) >= count]
-        if not any(map(self._may_carry, ends)):
+        if not any(map(self._may_carry, self._ends)):
             return False
-        fits = [(tail, self._fit(tail, self._prior, self._surprise)) for tail in self._tails()]
+        fits = [(tail, self._fit([tail], [self._prior], self._surprise)) for tail in self._tails()]
         tail, fit = max(fits, key=lambda item: item[1].excess)
         if fit.excess < self._surprise:
             return False
         self._begin(tail, fit)
         return True
+
+    @property
+    def _ends(self) -> list[_Block]:
+        """Sums of the last blocks and of the window."""
+        last = self._last
+        return [_sum(last[count - 1 :: -1]) for count in (_SOON, REMEMBERED) if len(last) >= count]
 
     def _may_carry(self, tail: _Block) -> bool:
         data = self._likelihood(tail)
@@ -372,8 +402,10 @@ class PayloadWatch:
     def _begin(self, tail: _Block, fit: _Fit) -> None:
         before = [block for block, _ in self._recent if block.first < tail.first]
         self._recent = deque((b, fit.point.parameters) for b, _ in self._recent if b.first >= tail.first)
-        if before[:-1]:  # the last one may depend on the payload
-            self._learn(_sum(before[:-1]))
+        if self._loaded is None:
+            self._picked_up = tail.stamp, tail.first
+            if before[:-1]:  # the last one may depend on the payload
+                self._learn(_sum(before[:-1]))
         self._note(_sum([block for block, _ in self._recent]), fit)
 
     def _note(self, loaded: _Block, fit: _Fit) -> None:
@@ -382,8 +414,31 @@ class PayloadWatch:
         common, separate = np.outer(body, body), fit.shifts.T @ fit.shifts
         covariance = fit.covariance + self._gain**2 * max(common, separate, key=lambda part: float(part[0, 0]))
         self.payload = CarriedPayload(
-            self._link, self._columns, frozen(body), frozen(covariance), loaded.stamp, loaded.first
+            self._link, self._columns, frozen(body), frozen(covariance), loaded.stamp, *self._picked_up
         )
+
+    def _exchange(self, body: FloatArray, loaded: _Block) -> bool:
+        """Accept another payload if the last rows and those ``loaded`` before are likelier with one each; else update
+        the payload ``(10,)`` by all."""
+        one = self._fit([loaded], [ONE_BODY.point(body)])
+        if any(self._may_carry(self._beyond(tail, body)) for tail in self._ends):
+            tails = [tail for tail in self._tails() if tail.first > loaded.first]
+            fits = [(tail, self._fit([loaded - tail, tail], [ONE_BODY.point(body), self._prior])) for tail in tails]
+            tail, two = max(fits, key=lambda item: item[1].excess)
+            if two.excess - one.excess > self._surprise:
+                self._begin(tail, self._fit([tail], [self._prior]))
+                return True
+        self._note(loaded, one)
+        return False
+
+    def _beyond(self, block: _Block, body: FloatArray) -> _Block:
+        """Return the block with the errors that a payload ``(10,)`` leaves."""
+        products = []
+        for baseline, product in zip(self._baselines, block.products, strict=True):
+            step = np.append(np.zeros(len(baseline.columns)), -1.0)
+            step[baseline.body] = body[: len(baseline.body)]
+            products.append(_with_other_errors(product, step))
+        return replace(block, products=tuple(products))
 
     def _drop(self) -> bool:
         """Drop the payload if the last rows are likelier without it."""
@@ -398,40 +453,55 @@ class PayloadWatch:
                 break
         return False
 
-    def _fit(self, block: _Block, point: Point, least: float = -np.inf) -> _Fit:
-        """Fit the most probable payload by Gauss-Newton steps on the manifold from a ``point``, halved until they make
-        it more probable; with Laplace's approximation of its evidence. It ends where a whole step is expected to leave
-        the payload's excess below the ``least`` of use."""
-        likelihood, prior, precision = self._likelihood(block), self._prior, self._precision
+    def _fit(self, blocks: Sequence[_Block], bodies: Sequence[Point], least: float = -np.inf) -> _Fit:
+        """Fit the most probable payload in each of n blocks by Gauss-Newton steps on the manifold, halved until they
+        make it more probable; with Laplace's approximation of its evidence. It ends where a whole step is expected to
+        leave the excess below the ``least`` of use.
+
+        Args:
+            blocks: the rows.
+            bodies: payloads to begin at.
+        """
+        likelihood, precision = self._likelihood(*blocks), self._precision
+        manifold = ParameterManifold(len(blocks), 0, np.zeros(0))
+        prior = manifold.point(np.tile(self._prior.parameters, len(blocks)))
+        point = manifold.point(np.concatenate([body.parameters for body in bodies]))
 
         def log_posterior(point: Point) -> float:
-            return likelihood.gain(point.parameters) - 0.5 * precision * ONE_BODY.distance(point, prior) ** 2
+            return likelihood.gain(point.parameters) - 0.5 * precision * manifold.distance(point, prior) ** 2
 
         reached = log_posterior(point)
         for _ in range(ROUNDS):
-            away, curvature = ONE_BODY.log_and_hessian(point, prior)
-            jacobian = point.links_jacobian[0]
+            away, curvature = manifold.log_and_hessian(point, prior)
+            jacobian = block_diag(*point.links_jacobian)
             hessian = jacobian.T @ likelihood.information @ jacobian
             slope = jacobian.T @ (likelihood.slope - likelihood.information @ point.parameters) + precision * away
-            step = spd.solve_or_least_squares(hessian + precision * curvature[0], slope)
+            step = spd.solve_or_least_squares(hessian + precision * block_diag(*curvature), slope)
             if reached + 0.5 * float(slope @ step) - likelihood.unknown < least:
                 break
             length = float(np.linalg.norm(step))
             share = min(1.0, LARGEST_STEP / max(length, SETTLED))
-            end = ONE_BODY.exp(point, share * step)
+            end = manifold.exp(point, share * step)
             while (value := log_posterior(end)) < reached and share * length >= SETTLED:
                 share *= 0.5
-                end = ONE_BODY.exp(point, share * step)
+                end = manifold.exp(point, share * step)
             if share * length < SETTLED:
                 break
             point, reached = end, value
-        away, curvature = ONE_BODY.log_and_hessian(point, prior)
-        jacobian = point.links_jacobian[0]
-        information = jacobian.T @ likelihood.information @ jacobian + precision * np.eye(SIZE)
+        jacobian = block_diag(*point.links_jacobian)
+        information = jacobian.T @ likelihood.information @ jacobian + precision * np.eye(manifold.dimension)
         occam = 0.5 * float(np.linalg.slogdet(information / precision)[1])
-        gain = likelihood.gain(point.parameters) - 0.5 * precision * float(away @ away) - occam
+        gain = log_posterior(point) - occam
         covariance = jacobian @ spd.inverse(information) @ jacobian.T
         return _Fit(point, gain - likelihood.unknown, covariance, likelihood.parts @ point.parameters @ covariance)
+
+
+def _with_other_errors(products: FloatArray, step: FloatArray) -> FloatArray:
+    """Return products of rows ``[A e]`` with the errors ``-[A e] step`` in place of e."""
+    result, errors = products.copy(), -products @ step
+    result[-1, :-1] = result[:-1, -1] = errors[:-1]
+    result[-1, -1] = -errors @ step
+    return result
 
 
 def _largest_gain(information: FloatArray, slope: FloatArray) -> float:

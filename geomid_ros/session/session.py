@@ -115,8 +115,8 @@ class Session:
         self.identifier = Identifier(self.model, self.settings, configuration.buffer, self._identified_prior)
         self.warm_start: WarmStart | None = None
         """Start of the next solve: the last estimate."""
-        self.carried: WatchMemory | None = None
-        """State of the payload watch while something is carried."""
+        self.watch: WatchMemory | None = None
+        """State of the payload watch, if there is one."""
         self.recent = Recent(configuration["gap.memory"], lambda: self.identifier.sample_count)
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
         self.review = Review(self.model, self.loaded, configuration, self.controller, self.pipeline.ledger)
@@ -330,7 +330,7 @@ class Session:
             self.warm_start,
             self._solving,
             findings=self.review.findings,
-            carried=self.carried,
+            watch=self.watch,
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -346,7 +346,7 @@ class Session:
         self.identifier.restore(checkpoint.memory)
         self.warm_start = warm if checkpoint.solving == self._solving else None
         self.review.read_elsewhere(RecordingFacts(findings=checkpoint.findings))
-        self.carried = checkpoint.carried
+        self.watch = checkpoint.watch
 
     @property
     def _solving(self) -> str:

@@ -136,7 +136,7 @@ def test_what_is_carried_is_predicted_until_it_is_put_down(identification: Ident
     body = pseudo_inertia.parameters_of(np.array([1.5, 0.0, 0.0, 0.1, 1e-2, 0.0, 1e-2, 0.0, 0.0, 1e-2]))
     heavier = estimate.predictor.parameters.copy()
     heavier[columns] += body
-    carried = CarriedPayload("tool", columns, body, np.eye(10), 0, 0)
+    carried = CarriedPayload("tool", columns, body, np.eye(10), 0, 0, 0)
     stream.set_payload(carried)
     stream.set_model(session, estimate)
     for parameters in (heavier, estimate.predictor.parameters):

@@ -9,6 +9,7 @@ import pytest
 from estimation.arms import Truth, efforts, motion, samples, shipped, truth
 
 from benchmarks.alarms.cases import Alarm, Case, Outcome
+from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold
 from geomid_ros.inference.prior import PAYLOAD_PRIOR_STD, default_payload
@@ -18,13 +19,21 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import ALARM, ChangeDetector, ChannelGap
 from geomid_ros.monitoring.payload_watch import REMEMBERED, CarriedPayload, ChannelNoise, PayloadWatch
+from geomid_ros.types import FloatArray
 
 RATE = 50.0  # [Hz]
-BEFORE, AFTER, END = 50.0, 65.0, 80.0  # [s]
+BEFORE, EXCHANGED, AFTER, END = 50.0, 58.0, 65.0, 80.0  # [s]
 NOISE = 0.02  # [N m]
 CENTRE = np.array([0.03, -0.02, 0.08])  # [m]
 MASS = 1.5  # [kg]
-BALL = pseudo_inertia.parameters_of(np.array([MASS, *CENTRE, 4e-3, 0.0, 4e-3, 0.0, 0.0, 4e-3]))
+
+
+def ball(mass: float) -> FloatArray:
+    """A payload's parameters ``(10,)``."""
+    return mass * pseudo_inertia.parameters_of(np.array([1.0, *CENTRE, 3e-3, 0.0, 3e-3, 0.0, 0.0, 3e-3]))
+
+
+BALL = ball(MASS)
 
 
 @dataclass(frozen=True)
@@ -61,15 +70,21 @@ class Arm:
     @property
     def loaded(self) -> Truth:
         """The arm with a payload."""
+        return self.carrying(MASS)
+
+    def carrying(self, mass: float) -> Truth:
+        """The arm with a payload of this mass [kg]."""
         links = self.truth.links.copy()
-        links[-1] += BALL
+        links[-1] += ball(mass)
         return replace(self.truth, links=links)
 
-    def measured(self, changed: Truth, noise: float = NOISE) -> Samples:
+    def measured(self, changed: Truth, noise: float = NOISE, then: Truth | None = None) -> Samples:
+        """Between ``BEFORE`` and ``AFTER``, it is ``changed``; and from ``EXCHANGED`` on, ``then``."""
         times = np.arange(len(self.moving)) / RATE
         felt = efforts(self.robot, self.truth, self.moving)
-        between = (times >= BEFORE) & (times < AFTER)
-        felt[between] = efforts(self.robot, changed, self.moving)[between]
+        for begin, arm in ((BEFORE, changed), (EXCHANGED, then or changed)):
+            between = (times >= begin) & (times < AFTER)
+            felt[between] = efforts(self.robot, arm, self.moving)[between]
         return samples(self.moving, felt + noise * self.rng.normal(size=felt.shape), RATE)
 
     def watch(self, gain: float = 0.0) -> PayloadWatch:
@@ -119,6 +134,37 @@ def test_a_payload_is_picked_up_weighed_and_put_down() -> None:
     assert not any(state.open for state in states)
 
 
+@pytest.mark.parametrize("second", [0.6, 1.2])
+def test_a_payload_is_exchanged_for_another(second: float) -> None:
+    """It is weighed by its own rows alone; and all this time something is carried."""
+    arm = Arm(1)
+    states = arm.watched(arm.measured(arm.loaded, then=arm.carrying(second)))
+    carried = [state.carried for state in states if BEFORE + 2.0 < state.time < AFTER]
+    assert all(carried)
+    last = carried[-1]
+    assert last is not None
+    assert last.mass == pytest.approx(second, rel=0.05)
+    assert last.interval[0] < second < last.interval[1] < MASS
+    assert abs(1e-9 * last.since - EXCHANGED) < 0.5
+    assert len({each.since for each in carried if each}) == 2
+    assert {each.picked_up for each in carried if each} == {last.picked_up}
+    assert abs(1e-9 * last.picked_up - BEFORE) < 1.0
+
+
+def test_a_payload_is_noticed_by_what_an_earlier_watch_knew() -> None:
+    arm = Arm(1)
+    measured, watch = arm.measured(arm.loaded), arm.watch()
+    begin = round((BEFORE + 1.0) * RATE)
+    arm.watched(measured.select(slice(0, round((BEFORE - 5.0) * RATE))), watch)
+    later = arm.watch()
+    later.restore(watch.memory)
+    arm.watched(measured.select(slice(begin, begin + 150)), later)
+    assert later.payload is not None
+    assert later.payload.mass == pytest.approx(MASS, rel=0.1)
+    with pytest.raises(InputError, match="other shapes"):
+        later.restore(replace(watch.memory, noise=np.ones((2, 2))))
+
+
 def test_gains_of_each_joint_widen_the_interval_of_the_mass() -> None:
     """The mass follows from differences between joints, so their gains count for more than a common one."""
     arm, gain = Arm(1), 0.3
@@ -138,7 +184,7 @@ def test_the_most_probable_payload_is_found_from_everywhere() -> None:
     assert watch.payload is not None
     assert watch._loaded is not None
     starts = ONE_BODY.point(default_payload(arm.model.nominal_inertias.reshape(-1, 10), -1)), ONE_BODY.point(BALL)
-    assert ONE_BODY.distance(*(watch._fit(watch._loaded, start).point for start in starts)) < 0.05
+    assert ONE_BODY.distance(*(watch._fit([watch._loaded], [start]).point for start in starts)) < 0.05
 
 
 def test_without_a_payload_there_is_none() -> None:
