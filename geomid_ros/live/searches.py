@@ -120,8 +120,9 @@ class FoundGap:
 
     @property
     def sentence(self) -> str:
-        """Verdict in one sentence."""
-        sentence = verdict_sentence(self.result)
+        """Verdict in one sentence, after what makes it doubtful."""
+        doubts = "".join(f"DOUBTFUL: {cause.sentence}. " for cause in self.causes if cause.sure)
+        sentence = doubts + verdict_sentence(self.result)
         return f"{sentence} ({self.compared})" if self.compared else sentence
 
     @property

@@ -78,9 +78,10 @@ class Solver:
     """Solves in a thread: when enough data are new (:class:`Pace`), and on request. With a finite forgetting time,
     changes are to be followed, so it solves in every period.
 
-    Estimates that are not finite are discarded, and one that did not converge does not replace one that did. Rows are
-    left out while a payload is carried, and from the check of the recording, too. The rows of a mounted wrench sensor
-    are left out while the sensor is changed, unless old rows are forgotten anyway.
+    Estimates that are not finite are discarded, and one that did not converge does not replace one that did. Rows
+    are left out while a payload is carried, and from the check of the recording, too; its messages are forgotten
+    once it is put down. The rows of a mounted wrench sensor are left out while the sensor is changed, unless old
+    rows are forgotten anyway.
     """
 
     def __init__(self, session: Session, period: float, listener: Listener, failures: Failures) -> None:
@@ -96,6 +97,7 @@ class Solver:
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
         self._reported: CarriedPayload | None = None  # last payload passed to the listener
+        self._carried_since = 0  # stamp [ns] since which anything was carried last
         self._reported_gaps: set[str] | None = None  # channels of the last gaps passed to the listener
         self._lock = threading.RLock()  # held briefly, for all fields below
         self.estimate: Estimate | None = None  # the last one
@@ -292,10 +294,12 @@ class Solver:
         identifier, known, judged = self._session.identifier, detector.weighed_before, detector.searched_until
         self._session.watch = None if detector.payload is None else detector.payload.memory
         if self.payload is not None:
+            self._carried_since = self.payload.picked_up
             if identifier.leave_out(_CARRIED, range(len(self._session.model.channels)), known):
                 self._solved_rows = 0  # the estimate may have learned from them
         elif identifier.restore_rows(_CARRIED, judged):
             known = 0  # the payload was just put down: all that waits may be with it
+            self._session.recent.forget(self._carried_since, detector.searched_stamp)
         else:
             judged = known
         unchecked = self._unchecked

@@ -98,6 +98,8 @@ class ChangeDetector:
         """Monitored channels as of the last block."""
         self.searched_until = 0
         """Index of the first sample that was not searched for a payload yet."""
+        self.searched_stamp = 0
+        """Stamp [ns] of the last sample that was."""
 
     def add(self, first: int, stamps: IntArray, rows: Rows) -> bool:
         """Take the rows of a moving robot, in the order of time. If too many wait, the first are dropped. Return True
@@ -118,7 +120,7 @@ class ChangeDetector:
         while len(self._waiting) >= PART:
             self._block += [self._waiting.popleft() for _ in range(PART)]
             self._judge_payload(*_stacked(self._block[-PART:]))
-            self.searched_until = self._block[-PART][0] + PART
+            self.searched_until, self.searched_stamp = self._block[-PART][0] + PART, self._block[-1][1]
             if len(self._block) >= BLOCK:
                 block, self._block = self._block, []
                 self._judge_channels(*_stacked(block))

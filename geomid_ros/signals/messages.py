@@ -102,6 +102,11 @@ class AcceptedMessages:
         count = int(np.searchsorted(self.stamps, stamp))
         return AcceptedMessages(self.topic, self.stamps[:count], self.values[:count])
 
+    def without(self, begin: int, end: int) -> AcceptedMessages:
+        """Return the messages but those with stamps [ns] from ``begin`` up to, but not including, ``end``."""
+        kept = (self.stamps < begin) | (self.stamps >= end)
+        return AcceptedMessages(self.topic, self.stamps[kept], self.values[kept])
+
     def after(self, count: int) -> AcceptedMessages:
         """Return the messages after the first ``count``."""
         return AcceptedMessages(self.topic, self.stamps[count:], self.values[count:])
@@ -138,7 +143,7 @@ class Recent:
             self._entries.append(accepted)
             self.count += 1
             self._bytes += _size(accepted)
-            while self._entries and (self._bytes > MOST_WAITING_BYTES or self._entries[0].stamps[-1] <= oldest):
+            while self._entries and (self._bytes > MOST_WAITING_BYTES or not len(self._entries[0].since(oldest + 1))):
                 self._bytes -= _size(self._entries.popleft())
 
     def clear(self) -> None:
@@ -148,6 +153,12 @@ class Recent:
             self._last.clear()
             self._bytes = 0
             self.first_sample = self._sample_count()
+
+    def forget(self, begin: int, end: int) -> None:
+        """Forget the messages with stamps [ns] from ``begin`` up to, but not including, ``end``."""
+        with self._lock:
+            self._entries = deque(entry.without(begin, end) for entry in self._entries)
+            self._bytes = sum(map(_size, self._entries))
 
     def entries(self, after: int = 0) -> list[AcceptedMessages]:
         """Return the remembered messages, in their order of arrival; only those after the first ``after`` entries of

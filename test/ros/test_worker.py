@@ -31,7 +31,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import Decoder
+from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Decoder
 from geomid_ros.types import IntArray
 
 from .stage import NO_CHOICE, messages
@@ -128,18 +128,23 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
 
 
 def test_what_is_carried_is_neither_learned_nor_judged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not even what came before it was noticed. What was learned is not forgotten meanwhile."""
+    """Not even what came before it was noticed, and later searches do not have it. What was learned is not forgotten
+    meanwhile."""
     arm, checked = Arm(), list[int]()
     measured = arm.measured(arm.loaded)
     with closing(Watched(NEVER, forgetting_time=5.0)) as watched:
+        for block in measured.in_pieces():
+            watched.session.recent(AcceptedMessages(JOINT_STATES, block.stamps, block.effort))
         monkeypatch.setattr(watched.session.review.check, "add", lambda part: checked.extend(part.stamps.tolist()))
         found, status = watched.take(measured, 0, len(measured)), watched.worker.status(active=True)
     assert found.sigmas == pytest.approx(NOISE, rel=0.2)
     left_out = status.rows_rejected["payload carried"] / len(watched.session.model.channels)
     assert (AFTER - BEFORE) * RATE < left_out < (AFTER - BEFORE + 4.0) * RATE
-    times = 1e-9 * np.array(checked)
-    assert np.min(times) < BEFORE < AFTER < np.max(times)
-    assert not np.any((times > BEFORE) & (times < AFTER))
+    for remembered in (watched.worker.recent_messages(), watched.worker.messages_before_gap()):
+        for stamps in (checked, np.concatenate([block.stamps for block in remembered])):
+            times = 1e-9 * np.array(stamps)
+            assert np.min(times) < BEFORE < AFTER < np.max(times)
+            assert not np.any((times > BEFORE) & (times < AFTER))
 
 
 UNKNOWN = "no data that came after it have confirmed it yet"
@@ -186,6 +191,22 @@ def test_what_is_carried_and_what_was_found_is_known_after_a_crash() -> None:
         assert watched.worker.solver.payload is None
         watched.worker.reset()
         wait_until(lambda: not watched.session.review.findings)
+
+
+def test_what_was_picked_up_during_a_crash_is_noticed() -> None:
+    """By what was known of the robot before; none of its rows is learned."""
+    arm = Arm()
+    measured, crash, later = arm.measured(arm.loaded), round((BEFORE - 5.0) * RATE), round((BEFORE + 1.0) * RATE)
+    with closing(Watched(NEVER)) as watched:
+        sound = watched.take(measured, 0, crash)
+        kept = watched.session.checkpoint()
+        kept = decoded(Checkpoint, encoded(vars(kept), kept.accounts), watched.session.meaning)
+    with closing(Watched(NEVER, kept)) as watched:
+        found = watched.take(measured, later, round(AFTER * RATE) - 50)
+        payload = watched.worker.solver.payload
+        assert payload is not None
+        assert payload.mass == pytest.approx(MASS, rel=0.05)
+        np.testing.assert_allclose(found.parameters, sound.parameters, rtol=1e-6, atol=1e-9)
 
 
 def test_an_implausible_mass_is_told() -> None:
