@@ -24,6 +24,7 @@ from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.estimation.tolerances import LARGEST_STEP
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import to_parameters
@@ -146,6 +147,34 @@ class Reading:
     def is_complete(self) -> bool:
         """True if no number is missing."""
         return bool(np.isfinite(self.numbers).all())
+
+
+class CommandedMotion:
+    """Motion that a position controller is to follow: each trajectory replaces the one before once it starts."""
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        self._joints = joints
+        self._trajectories: list[tuple[float, Trajectory | None]] = []  # with their starts [s], in order
+        self.position = np.zeros(len(joints))
+        """Last known position ``(joints,)``: the robot is at rest there while there is no trajectory."""
+
+    def follow(self, trajectory: Trajectory | None, start: float, now: float) -> None:
+        """Follow a trajectory from ``start`` [s] on in place of any that starts later; None to stop."""
+        earlier = [each for each in self._trajectories if each[0] < start]
+        over = sum(begin <= now - LONGEST_FAULT for begin, _ in earlier) - 1  # a reading may be that old
+        self._trajectories = [*earlier[max(over, 0) :], (start, trajectory)]
+
+    def __call__(self, time: float) -> FloatArray:
+        """Return positions, velocities and accelerations ``(3, joints)`` at a time [s]."""
+        started = (each for each in reversed(self._trajectories) if each[0] <= time)
+        start, trajectory = next(started, (time, None))
+        if trajectory is None:
+            return np.array([self.position, *np.zeros((2, len(self._joints)))])
+        order = [trajectory.joints.index(joint) for joint in self._joints]
+        motion = trajectory.states(np.array([time - start]))[:3, 0, order]
+        if time - start > trajectory.duration:
+            motion[1:] = 0.0
+        return np.asarray(motion)
 
 
 class FaultLatch:

@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from geomid_ros.api.feedforward import check_model, fill_efforts, robot_to_move
-from geomid_ros.control.correction import LONGEST_FAULT, Correction, Reading
+from geomid_ros.control.correction import LONGEST_FAULT, CommandedMotion, Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.motion import Trajectory
@@ -39,7 +39,6 @@ from geomid_ros.ros.outputs import inertia_message, latched, ros_time
 from geomid_ros.session.configuration import AT_START, Parameter
 from geomid_ros.session.options import FillOptions
 from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray
 
 _GAPS, _ESTIMATE = "geomid/gap/open", "geomid/estimate"  # of the identification node in the same namespace
 
@@ -63,9 +62,7 @@ class AdaptationNode:
         self._joints = session.robot.joint_names
         self._link = link or session.robot.body_names[-1]
         self._correction = self._new()
-        self._trajectory: Trajectory | None = None
-        self._start = 0.0
-        self._position = np.zeros(len(self._joints))
+        self._commanded = CommandedMotion(self._joints)
         self._said = ""
         self._lacking = "none has come"  # why joint states are unusable
         self._inertias = node.create_publisher(InertiaStamped, "~/inertia", 10)
@@ -101,18 +98,7 @@ class AdaptationNode:
 
     def follow(self, trajectory: Trajectory | None, start: float) -> None:
         """Record the trajectory that the controller follows from ``start`` [s] on, or now if 0; None if none."""
-        self._trajectory, self._start = trajectory, start or self._now
-
-    def _commanded(self, time: float) -> FloatArray:
-        """Commanded motion ``(3, joints)`` at a time [s]; without a command, rest at the last reading."""
-        rest = np.array([self._position, *np.zeros((2, len(self._joints)))])
-        if self._trajectory is None:
-            return rest
-        passed, order = time - self._start, [self._trajectory.joints.index(joint) for joint in self._joints]
-        motion = self._trajectory.states(np.array([passed]))[:3, 0, order]
-        if not 0.0 <= passed <= self._trajectory.duration:
-            motion[1:] = 0.0
-        return np.asarray(motion)
+        self._commanded.follow(trajectory, start or self._now, self._now)
 
     def _on_state(self, message: JointState) -> None:
         places = {name: place for place, name in enumerate(message.name)}
@@ -129,7 +115,7 @@ class AdaptationNode:
         reading = Reading(time, position, velocity, effort)
         self._lacking = "" if reading.is_complete else "they are not finite"
         if reading.is_complete:
-            self._position = position
+            self._commanded.position = position
         self._correction.learn(self._now, reading, self._commanded(time))
         self._send()
 

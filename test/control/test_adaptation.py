@@ -24,6 +24,7 @@ from geomid_ros.control.correction import (
     LONGEST_FAULT,
     MARGIN,
     Adaptation,
+    CommandedMotion,
     Correction,
     FaultLatch,
     Reading,
@@ -33,6 +34,7 @@ from geomid_ros.control.correction import (
 )
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.session.options import FillOptions
@@ -55,6 +57,32 @@ def body(rng: np.random.Generator) -> FloatArray:
 
 def carried(mass: float, centre: FloatArray) -> FloatArray:
     return np.array(pin.Inertia(mass, centre, 1e-3 * mass * np.eye(3)).toDynamicParameters())
+
+
+def test_a_trajectory_replaces_the_one_before_once_it_starts() -> None:
+    """Not when it is sent; one that starts earlier takes back what was to follow."""
+
+    def at_speed(*speeds: float) -> Trajectory:
+        """From 0 on at these speeds, 10 s long."""
+        velocities = np.array([speeds, speeds])
+        return Trajectory(
+            ("b", "a"), np.array([0.0, 10.0]), np.outer([0.0, 10.0], speeds), velocities, np.zeros((2, 0))
+        )
+
+    commanded = CommandedMotion(["a", "b"])
+    commanded.position = np.array([0.5, 0.7])
+    np.testing.assert_allclose(commanded(100.0), [[0.5, 0.7], [0.0, 0.0], [0.0, 0.0]])
+    commanded.follow(at_speed(1.0, 2.0), 100.0, 100.0)
+    commanded.follow(at_speed(3.0, 4.0), 105.0, 101.0)
+    commanded.follow(at_speed(5.0, 6.0), 104.0, 102.0)
+    expected = {99.9: (0.0, 0.0), 103.9: (2.0, 1.0), 104.1: (6.0, 5.0), 105.1: (6.0, 5.0), 114.1: (0.0, 0.0)}
+    for time, velocity in expected.items():
+        np.testing.assert_allclose(commanded(time)[1], velocity, atol=1e-9, err_msg=str(time))
+    np.testing.assert_allclose(commanded(114.1)[0], [60.0, 50.0])
+    for second in range(120, 160):
+        commanded.follow(None, float(second), float(second))
+    np.testing.assert_allclose(commanded(159.0)[0], [0.5, 0.7])
+    assert len(commanded._trajectories) == 2
 
 
 def test_the_step_is_the_shortest_that_explains_residuals_within_their_noise() -> None:
