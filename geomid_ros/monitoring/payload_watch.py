@@ -22,7 +22,6 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_products import usable
@@ -160,8 +159,8 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Likelihood:
-    """Log likelihood of a payload relative to none: ``information (10, 10)``, ``slope (10,)``; ``parts (channels, 10,
-    10)``: information of each channel.
+    """Log likelihood of n payloads relative to none: ``information (10 n, 10 n)``, ``slope (10 n,)``; ``parts
+    (channels, 10 n, 10 n)``: information of each channel.
 
     ``vagueness``: gain of any payload, as its efforts need not be exact. ``unknown``: gain if an unknown effect acts on
     each channel, as large as observed and different in every block, or if effects of the channels changed.
@@ -174,8 +173,13 @@ class _Likelihood:
     parts: FloatArray
 
     def gain(self, body: FloatArray) -> float:
-        """Log likelihood of a payload ``(10,)`` relative to none."""
+        """Log likelihood of the payloads ``(10 n,)`` relative to none."""
         return self.vagueness + float(self.slope @ body - 0.5 * body @ self.information @ body)
+
+    @property
+    def largest_excess(self) -> float:
+        """Largest log evidence of any payload, even of an impossible one, beyond that of an unknown effect."""
+        return self.vagueness + _largest_gain(self.information, self.slope) - self.unknown
 
 
 class _Baseline:
@@ -184,11 +188,15 @@ class _Baseline:
 
     def __init__(self, channel: Channel, body: slice, links: int) -> None:
         self.columns = channel.columns
-        places = np.arange(len(self.columns))
-        self.body = places[(self.columns >= body.start) & (self.columns < body.stop)]
-        self._effects = places[self.columns >= links]  # coefficients of effects
+        first, end, effects = np.searchsorted(self.columns, [body.start, body.stop, links])
+        self.body, self._effects = slice(first, end), slice(effects, len(self.columns))  # coefficients of effects
         self.mean = frozen(np.zeros(len(self.columns)))
         self.information = frozen(np.zeros((len(self.columns), len(self.columns))))
+
+    @property
+    def feels_all(self) -> bool:
+        """True if the channel depends on all parameters of the body."""
+        return bool(self.body.stop - self.body.start == SIZE)
 
     def products(self, coefficients: FloatArray, targets: FloatArray) -> FloatArray:
         """Sums of products of rows ``(N, D)``."""
@@ -199,8 +207,9 @@ class _Baseline:
     def whole(self, more: FloatArray) -> FloatArray:
         """Return the information with that of ``more`` rows, slightly regularised."""
         total = self.information + more[:-1, :-1]
-        squares = np.diag(total)
-        return np.asarray(total + np.diag(ROUNDING * squares + np.finfo(float).eps * np.max(squares, initial=1e-300)))
+        squares = np.einsum("ii->i", total)  # a view
+        squares += ROUNDING * squares + np.finfo(float).eps * np.max(squares, initial=1e-300)
+        return total
 
     def learn(self, products: FloatArray, share: float) -> FloatArray:
         """Learn from rows; those before keep a ``share`` of their weight. Return the step of the mean."""
@@ -213,16 +222,17 @@ class _Baseline:
     def reduced(self, parts: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """``[[H h], [h' S]] (10 n + 1, 10 n + 1)`` of rows in n parts, with a payload in each; and the same for the
         channel's effects in all of them, ``(k + 1, k + 1)``."""
-        count, size = len(self._effects), len(self._effects) + SIZE * len(parts) + 1
-        kept, effects_only = np.concatenate([self._effects, self.body, [len(self.columns)]]), np.arange(count)
-        total, right = np.zeros((size, size)), np.zeros((len(self.columns), size))
-        for index, products in enumerate(parts):
-            places = np.concatenate([effects_only, count + SIZE * index + np.arange(SIZE), [size - 1]])
-            total[np.ix_(places, places)] += products[np.ix_(kept, kept)]
-            right[:, places] += products[:-1, kept]
-        total -= right.T @ spd.solve_or_least_squares(self.whole(np.sum(parts, axis=0)), right)
-        effects_only = np.append(effects_only, size - 1)
-        return total[count:, count:], total[np.ix_(effects_only, effects_only)]
+        whole, effects, last = reduce(operator.add, parts), self._effects, slice(len(self.columns), None)
+        # Columns: a payload in each part, the errors, and the effects.
+        rows = np.column_stack([*(part[:, self.body] for part in parts), whole[:, last], whole[:, effects]])
+        errors = SIZE * len(parts)
+        total = np.zeros((rows.shape[1], rows.shape[1]))
+        for begin, part in zip(range(0, errors, SIZE), parts, strict=True):
+            total[begin : begin + SIZE, begin : begin + SIZE] = part[self.body, self.body]
+        total[errors], total[errors + 1 :] = rows[-1], rows[effects]
+        total[:errors, errors:] = total[errors:, :errors].T
+        total -= rows[:-1].T @ spd.solve_or_least_squares(self.whole(whole), rows[:-1])
+        return total[: errors + 1, : errors + 1], total[errors:, errors:]
 
 
 class PayloadWatch:
@@ -351,7 +361,7 @@ class PayloadWatch:
         for place, (baseline, rows, blocks, noise) in enumerate(
             zip(self._baselines, whole.rows, whole.blocks, self._noise, strict=True)
         ):
-            if len(baseline.body) < SIZE or rows * noise.independent <= 0.0:
+            if not baseline.feels_all or rows * noise.independent <= 0.0:
                 continue
             reduced = baseline.reduced([block.products[place] for block in blocks_of_bodies])
             weighted, effects_only = (noise.independent / noise.variance * part for part in reduced)
@@ -365,7 +375,7 @@ class PayloadWatch:
             volume = 0.5 * (len(effects_only) - 1) * float(np.log1p(rows * noise.independent))
             needed = inflation * (volume + self._surprise - inexact_gain)
             if 0.5 * squares > needed:  # nothing explains more than all of it
-                joints += max(_largest_gain(effects_only[:-1, :-1], effects_only[:-1, -1]) - needed, 0.0) / inflation
+                joints += max(_largest_gain(effects_only[1:, 1:], effects_only[1:, 0]) - needed, 0.0) / inflation
         total, unknown = np.sum(parts, axis=0), max(unknown, joints - self._surprise)
         return _Likelihood(total[:-1, :-1], total[:-1, -1], vagueness, unknown, np.array(parts)[:, :-1, :-1])
 
@@ -380,9 +390,11 @@ class PayloadWatch:
 
     def _take(self) -> bool:
         """Accept a payload if the last rows show one."""
-        if not any(map(self._may_carry, self._ends)):
+        if not any(map(self._may_differ, self._ends)):
             return False
-        fits = [(tail, self._fit([tail], [self._prior], self._surprise)) for tail in self._tails()]
+        tails = ((tail, self._likelihood(tail)) for tail in self._tails())
+        shown = [(tail, data) for tail, data in tails if data.largest_excess > self._surprise]
+        fits = [(tail, self._fit(data, [self._prior], self._surprise)) for tail, data in shown]
         tail, fit = max(fits, key=lambda item: item[1].excess)
         if fit.excess < self._surprise:
             return False
@@ -395,9 +407,8 @@ class PayloadWatch:
         last = self._last
         return [_sum(last[count - 1 :: -1]) for count in (_SOON, REMEMBERED) if len(last) >= count]
 
-    def _may_carry(self, tail: _Block) -> bool:
-        data = self._likelihood(tail)
-        return data.vagueness + _largest_gain(data.information, data.slope) - data.unknown > self._surprise
+    def _may_differ(self, tail: _Block) -> bool:
+        return self._likelihood(tail).largest_excess > self._surprise
 
     def _begin(self, tail: _Block, fit: _Fit) -> None:
         before = [block for block, _ in self._recent if block.first < tail.first]
@@ -420,13 +431,14 @@ class PayloadWatch:
     def _exchange(self, body: FloatArray, loaded: _Block) -> bool:
         """Accept another payload if the last rows and those ``loaded`` before are likelier with one each; else update
         the payload ``(10,)`` by all."""
-        one = self._fit([loaded], [ONE_BODY.point(body)])
-        if any(self._may_carry(self._beyond(tail, body)) for tail in self._ends):
+        known = ONE_BODY.point(body)
+        one = self._fit(self._likelihood(loaded), [known])
+        if any(self._may_differ(self._beyond(tail, body)) for tail in self._ends):
             tails = [tail for tail in self._tails() if tail.first > loaded.first]
-            fits = [(tail, self._fit([loaded - tail, tail], [ONE_BODY.point(body), self._prior])) for tail in tails]
-            tail, two = max(fits, key=lambda item: item[1].excess)
+            fits = [self._fit(self._likelihood(loaded - tail, tail), [known, self._prior]) for tail in tails]
+            two, tail = max(zip(fits, tails, strict=True), key=lambda item: item[0].excess)
             if two.excess - one.excess > self._surprise:
-                self._begin(tail, self._fit([tail], [self._prior]))
+                self._begin(tail, self._fit(self._likelihood(tail), [self._prior]))
                 return True
         self._note(loaded, one)
         return False
@@ -436,7 +448,7 @@ class PayloadWatch:
         products = []
         for baseline, product in zip(self._baselines, block.products, strict=True):
             step = np.append(np.zeros(len(baseline.columns)), -1.0)
-            step[baseline.body] = body[: len(baseline.body)]
+            step[baseline.body] = body if baseline.feels_all else 0.0
             products.append(_with_other_errors(product, step))
         return replace(block, products=tuple(products))
 
@@ -453,19 +465,18 @@ class PayloadWatch:
                 break
         return False
 
-    def _fit(self, blocks: Sequence[_Block], bodies: Sequence[Point], least: float = -np.inf) -> _Fit:
-        """Fit the most probable payload in each of n blocks by Gauss-Newton steps on the manifold, halved until they
-        make it more probable; with Laplace's approximation of its evidence. It ends where a whole step is expected to
-        leave the excess below the ``least`` of use.
-
-        Args:
-            blocks: the rows.
-            bodies: payloads to begin at.
-        """
-        likelihood, precision = self._likelihood(*blocks), self._precision
-        manifold = ParameterManifold(len(blocks), 0, np.zeros(0))
-        prior = manifold.point(np.tile(self._prior.parameters, len(blocks)))
+    def _fit(self, likelihood: _Likelihood, bodies: Sequence[Point], least: float = -np.inf) -> _Fit:
+        """Fit the most probable payloads by Gauss-Newton steps on the manifold from some ``bodies``, halved until they
+        make them more probable; with Laplace's approximation of their evidence. It ends where a whole step is expected
+        to leave the excess below the ``least`` of use."""
+        precision, manifold = self._precision, ParameterManifold(len(bodies), 0, np.zeros(0))
+        prior = manifold.point(np.tile(self._prior.parameters, len(bodies)))
         point = manifold.point(np.concatenate([body.parameters for body in bodies]))
+
+        def blocks(matrices: FloatArray) -> FloatArray:
+            result = np.zeros((manifold.dimension, manifold.dimension))
+            result[manifold.links_blocks] = matrices
+            return result
 
         def log_posterior(point: Point) -> float:
             return likelihood.gain(point.parameters) - 0.5 * precision * manifold.distance(point, prior) ** 2
@@ -473,10 +484,10 @@ class PayloadWatch:
         reached = log_posterior(point)
         for _ in range(ROUNDS):
             away, curvature = manifold.log_and_hessian(point, prior)
-            jacobian = block_diag(*point.links_jacobian)
+            jacobian = blocks(point.links_jacobian)
             hessian = jacobian.T @ likelihood.information @ jacobian
             slope = jacobian.T @ (likelihood.slope - likelihood.information @ point.parameters) + precision * away
-            step = spd.solve_or_least_squares(hessian + precision * block_diag(*curvature), slope)
+            step = spd.solve_or_least_squares(hessian + precision * blocks(curvature), slope)
             if reached + 0.5 * float(slope @ step) - likelihood.unknown < least:
                 break
             length = float(np.linalg.norm(step))
@@ -488,7 +499,7 @@ class PayloadWatch:
             if share * length < SETTLED:
                 break
             point, reached = end, value
-        jacobian = block_diag(*point.links_jacobian)
+        jacobian = blocks(point.links_jacobian)
         information = jacobian.T @ likelihood.information @ jacobian + precision * np.eye(manifold.dimension)
         occam = 0.5 * float(np.linalg.slogdet(information / precision)[1])
         gain = log_posterior(point) - occam

@@ -184,7 +184,7 @@ def test_the_most_probable_payload_is_found_from_everywhere() -> None:
     assert watch.payload is not None
     assert watch._loaded is not None
     starts = ONE_BODY.point(default_payload(arm.model.nominal_inertias.reshape(-1, 10), -1)), ONE_BODY.point(BALL)
-    assert ONE_BODY.distance(*(watch._fit([watch._loaded], [start]).point for start in starts)) < 0.05
+    assert ONE_BODY.distance(*(watch._fit(watch._likelihood(watch._loaded), [start]).point for start in starts)) < 0.05
 
 
 def test_without_a_payload_there_is_none() -> None:
