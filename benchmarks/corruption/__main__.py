@@ -87,7 +87,7 @@ def judged(recording: Recording, bag: Path) -> Session:
     if source.wrench:
         configuration = configuration.with_sensors([WrenchSensor.parse(source.wrench)])
     session = Session(recording.urdf, configuration, str(source.urdf))
-    read_bags(session, Bags(fitted=[bag], hold_out=0.0), lambda _: None)
+    read_bags(session, Bags(fitted=[bag], hold_out=0.0, unloaded=True), lambda _: None)
     return session
 
 

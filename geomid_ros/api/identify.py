@@ -349,7 +349,7 @@ def identify(options: IdentifyOptions) -> Identification:
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    recorded = recordings(options, options.bags)
+    recorded = replace(recordings(options, options.bags), unloaded=True)
     only_effects = options.effects is not None and options.candidates is None
     parameters = configuration(options, options.model, **({"candidates": []} if only_effects else {}))
     robot = description(options, recorded.fitted, options.model)
@@ -360,6 +360,7 @@ def identify(options: IdentifyOptions) -> Identification:
         make = partial(Session, readers=READERS, loads=known)
         session, judged = robot.read(make, parameters, lambda session: _read(session, recorded, options.progress))
         session.review.check_description()
+        recorded = replace(recorded, unloaded=session.review.loads_left_out)  # else nobody need look again
         if not unlifted or session.identifier.counts.taken != rows:
             options.progress("solving", 0.0)
             estimate = session.identifier.solve()

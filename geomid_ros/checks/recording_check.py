@@ -209,7 +209,7 @@ def _judged(subject: EffortData, continuous: bool) -> CheckResult:
     doubted = decision.unconfirmed
     findings = named or as_faults(_unexplained(subject) or contradicted(doubted, decision.count))
     if not findings and doubted:
-        remarks += (f"in a part of the recording, or at some joints, only: {doubted[0].cause.sentence}",)
+        remarks += (f"suspected from a part of the recording, or some joints, alone: {doubted[0].cause.sentence}",)
     return CheckResult(findings, remarks)
 
 

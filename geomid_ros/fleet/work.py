@@ -302,7 +302,7 @@ def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
     name = plan.summary_name(bag)
     try:
         with on_this_disk(bag.url) as path:
-            bags = Bags(fitted=[path], hold_out=plan.hold_out, topics=plan.topics)
+            bags = Bags(fitted=[path], hold_out=plan.hold_out, topics=plan.topics, unloaded=True)
             session, summary = summarise(plan.description, plan.source, plan.configuration, bags)
         content = summary.encoded(session)
     except InputError as error:

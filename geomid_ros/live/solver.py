@@ -22,7 +22,6 @@ from geomid_ros.live.status import Failures, Listener
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import (
-    ALARM,
     PART,
     ChangeDetector,
     changed_sensors,
@@ -31,7 +30,7 @@ from geomid_ros.monitoring.change_detection import (
 )
 from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.payload import payload_watch
+from geomid_ros.session.payload import change_detector
 from geomid_ros.session.session import Session
 from geomid_ros.signals.settings import MOST_WAITING
 from geomid_ros.types import IntArray
@@ -191,17 +190,12 @@ class Solver:
         return earlier[-1] if earlier else None
 
     def _new_detector(self) -> ChangeDetector:
-        """Return a detector that sees one instance of each effect only, of candidates that of the middle of their grid.
-        All instances together would fit the change, and take long to learn. It goes on with what is
-        known of payloads."""
-        model = self._session.model
-        columns = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
-        channels = [replace(c, columns=np.intersect1d(c.columns, columns)) for c in model.channels]
-        payload = payload_watch(self._session, channels, ALARM)
-        if payload is not None and self._session.watch is not None:
+        """Return a detector that goes on with what is known of payloads."""
+        detector = change_detector(self._session)
+        if detector.payload is not None and self._session.watch is not None:
             with self._failures.counted("what is known of payloads could not be restored"):
-                payload.restore(self._session.watch)
-        return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time, payload)
+                detector.payload.restore(self._session.watch)
+        return detector
 
     def _solve_repeatedly(self) -> None:
         next_solve = time.monotonic()

@@ -249,6 +249,7 @@ class PayloadWatch:
         prior_std: float,
         gain: float,
         threshold: float,
+        pace: int = 1,
     ) -> None:
         """
         Args:
@@ -261,13 +262,15 @@ class PayloadWatch:
             gain: relative standard deviation of the gain of efforts: one for all channels, or one for each, whichever
                 leaves the mass more uncertain.
             threshold: log evidence at which a payload is accepted or dropped.
+            pace: number of blocks between searches.
         """
         self._link, self._columns = link, columns
         self._gain = gain
         self._baselines = [_Baseline(channel, columns, links) for channel in channels]
         self._prior = ONE_BODY.point(prior_mean)
         self._precision = 1.0 / prior_std**2
-        self._surprise = threshold
+        self._surprise, self._pace = threshold, pace
+        self._waited = 0  # blocks since the last search
         self._recent: deque[tuple[_Block, FloatArray | None]] = deque()  # with the payload that was known before
         self._loaded: _Block | None = None  # sum since the payload is carried
         self._picked_up = 0, 0  # stamp and index of the first sample with any payload
@@ -315,7 +318,7 @@ class PayloadWatch:
         self._noise = [ChannelNoise(*row) for row in memory.noise.tolist()]
 
     def update(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[ChannelNoise], retained: float) -> bool:
-        """Take a block of rows. Return True if a payload was picked up or put down in it.
+        """Take a block of rows. Return True if it shows that a payload was picked up or put down.
 
         Args:
             first: index of the first sample.
@@ -336,15 +339,20 @@ class PayloadWatch:
         counts = np.count_nonzero(measured, axis=0).astype(np.float64)
         block = _Block(products, counts, counts / len(stamps), first, int(stamps[0]))
         self._recent.append((block, None if self.payload is None else self.payload.parameters))
-        if self._loaded is None or self.payload is None:
-            changed = self._take()
-        else:
-            changed = self._drop() or self._exchange(self.payload.parameters, self._loaded + block)
+        self._loaded = None if self._loaded is None else self._loaded + block
+        self._waited = (self._waited + 1) % self._pace
+        changed = self._waited == 0 and self._search()
         if len(self._recent) == 2 * REMEMBERED:
             oldest = _sum([self._recent.popleft()[0] for _ in range(REMEMBERED)])
             if self._loaded is None:
                 self._learn(oldest)
         return changed
+
+    def _search(self) -> bool:
+        """Return True if a payload was picked up or put down, or another one is carried."""
+        if self._loaded is None or self.payload is None:
+            return self._take()
+        return self._drop() or self._exchange(self.payload.parameters, self._loaded)
 
     def _learn(self, block: _Block) -> None:
         """Learn from rows without a payload, and shift the errors of recent rows."""

@@ -33,6 +33,7 @@ from geomid_ros.inference.prior import GAIN, PAYLOAD_PRIOR_STD, default_payload
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import WeighedRows
+from geomid_ros.monitoring.change_detection import ALARM, ChangeDetector
 from geomid_ros.monitoring.payload_watch import PayloadWatch
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -99,10 +100,19 @@ def payload_session(urdf: str, configuration: Configuration, source: str) -> Ses
     return Session(urdf, configuration.with_values({"candidates": []}), source)
 
 
-def payload_watch(session: Session, channels: Sequence[Channel], surprise: float) -> PayloadWatch | None:
+def change_detector(session: Session, pace: int = 1) -> ChangeDetector:
+    """Create a detector that sees one instance of each effect only, of candidates that of the middle of their grid. All
+    instances together would fit the change, and take long to learn. ``pace``: see :class:`PayloadWatch`."""
+    model = session.model
+    columns = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
+    channels = [replace(c, columns=np.intersect1d(c.columns, columns)) for c in model.channels]
+    forgetting_time = session.configuration.buffer.forgetting_time
+    return ChangeDetector(channels, forgetting_time, payload_watch(session, channels, pace))
+
+
+def payload_watch(session: Session, channels: Sequence[Channel], pace: int = 1) -> PayloadWatch | None:
     """Create a watch for a payload at the flange, in rows of these ``channels``; None if the base moves, or if the link
-    is not identified. ``surprise``: the ``threshold`` of :class:`PayloadWatch`.
-    """
+    is not identified."""
     model, configuration = session.model, session.configuration
     frame = configuration["payload.frame"]
     link = session.robot.carrier(frame) if frame else model.body_names[-1]
@@ -119,7 +129,8 @@ def payload_watch(session: Session, channels: Sequence[Channel], surprise: float
         prior_mean=typical,
         prior_std=PAYLOAD_PRIOR_STD,
         gain=configuration["payload.gain"],
-        threshold=surprise,
+        threshold=ALARM,
+        pace=pace,
     )
 
 

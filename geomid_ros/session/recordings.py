@@ -25,6 +25,7 @@ from geomid_ros.options import Progress, silent
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.review import faulty_streams
 from geomid_ros.session.session import Session
+from geomid_ros.session.unloaded import Unloaded
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, AcceptedMessages, Decoder, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
@@ -67,6 +68,7 @@ class Bags:
         hold_out: fraction of each fitted bag's time, at the end, to evaluate on as well, 0 to 0.9; None for
             :data:`HELD_OUT`, or for nothing if there are bags to validate on.
         topics: topics of the joint states and of the base's pose or IMU.
+        unloaded: True to leave out what is recorded while a payload is carried (:class:`Unloaded`).
 
     Raises:
         InputError: there is no bag, or one is given twice.
@@ -76,6 +78,7 @@ class Bags:
     validate: Sequence[Path] = ()
     hold_out: float | None = None
     topics: Topics = Topics("joint_states", "odom")
+    unloaded: bool = False
 
     def __post_init__(self) -> None:
         if not self.fitted:
@@ -175,12 +178,13 @@ def read_bags(
     """
     fitted = TrainingData(session, fit)
     held_out: list[Samples] = []
+    sort: Callable[[str, Iterator[Samples]], Iterator[Samples]] = Unloaded(session) if bags.unloaded else _all
     for path in bags.fitted:
         pipeline = session.new_pipeline()
         kept: deque[Samples] = deque()
         boundary, first = 0, None
         with Bag(path) as bag:
-            for samples in read_samples(bag, session, pipeline, bags.topics, progress):
+            for samples in sort(path.name, read_samples(bag, session, pipeline, bags.topics, progress)):
                 session.review.check.add(samples)
                 first = first or samples.select(slice(1))
                 boundary = max(boundary, _boundary(first, samples, bags.held_out_fraction))
@@ -199,7 +203,7 @@ def read_bags(
         pipeline, check = session.new_pipeline(), session.review.new_check()
         check.begin_recording(path.name)
         with Bag(path) as bag:
-            for samples in read_samples(bag, session, pipeline, bags.topics, progress):
+            for samples in sort(path.name, read_samples(bag, session, pipeline, bags.topics, progress)):
                 check.add(samples)
                 held_out.append(samples)
         session.review.judge_validation(path.name, check, pipeline.ledger.topics)
@@ -207,6 +211,10 @@ def read_bags(
     if not held_out and bags.holds_out:
         raise InputError(f"{', '.join(map(str, bags.fitted))}: too short, no data left to test on")
     return held_out
+
+
+def _all(_: str, samples: Iterator[Samples]) -> Iterator[Samples]:
+    return samples
 
 
 def train(

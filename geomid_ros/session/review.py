@@ -199,6 +199,8 @@ class Review:
         """Why no later data confirm the estimates of a stream yet; empty if they do, and for recordings."""
         self.settled: list[str] = []
         """Choices made for the user, in sentences."""
+        self.loads_left_out = False
+        """True if parts of the recordings with a payload were left out."""
         self._kept: tuple[RecordingFault, ...] = ()  # findings on recordings that are checked separately
         self._validated: tuple[str, ...] = ()  # sentences on recordings that are only evaluated on
         self._sound: list[RecordingCheck] = []  # checks of those in which nothing is wrong

@@ -1,0 +1,89 @@
+"""Recordings without what the robot carried for a while, which a running node leaves out, too."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from geomid_ros.model.measurement_model import Rows
+from geomid_ros.model.samples import Samples, regimes
+from geomid_ros.monitoring.payload_watch import CarriedPayload
+from geomid_ros.session.payload import change_detector
+from geomid_ros.session.session import Session
+
+_PACE = 4  # blocks between searches, as nobody waits for the payload
+
+
+class Unloaded:
+    """Leaves out the samples of recordings from when a payload is picked up until it is put down."""
+
+    def __init__(self, session: Session) -> None:
+        """``session``: the robot; its review is told what was left out."""
+        self._model, self._review = session.model, session.review
+        self._detector = change_detector(session, _PACE)
+        self._count = 0  # samples so far
+        self._waiting: deque[tuple[int, Samples]] = deque()  # with the number of the first
+        self._carried: dict[int, CarriedPayload] = {}  # since the last pick-up, by the stamps of their beginnings
+
+    def __call__(self, name: str, recording: Iterable[Samples]) -> Iterator[Samples]:
+        """Yield the samples, in the order of time, of a recording of this ``name``, without those to leave out."""
+        first = 0
+        for samples in recording:
+            first = first or int(samples.stamps[0])
+            for piece in samples.in_pieces():
+                self._add(piece)
+                more = True
+                while more:
+                    more = self._detector.test()
+                    yield from self._sorted(name, first)
+        if self._carried:
+            self._report(name, first)
+            self._take(self._count)
+        yield from self._take(self._count)
+
+    def _add(self, samples: Samples) -> None:
+        rows, efforts = self._model.rows(samples), self._model.layout.efforts
+        slow = np.zeros(rows.targets.shape, dtype=bool)
+        if efforts:
+            slow[:, efforts] = regimes(samples) > 0
+        settled = Rows(rows.coefficients, np.where(slow, np.nan, rows.targets))
+        self._detector.add(self._count, samples.stamps, settled)
+        self._waiting.append((self._count, samples))
+        self._count += len(samples)
+
+    def _sorted(self, name: str, first: int) -> list[Samples]:
+        """Return the samples that are known to be without a payload, and discard those with one."""
+        watch, searched = self._detector.payload, self._detector.searched_until
+        carried = None if watch is None else watch.payload
+        if carried is None and self._carried:  # it was just put down
+            self._report(name, first)
+            self._take(searched)
+        known = self._take(self._detector.weighed_before)
+        if carried is not None:
+            self._carried[carried.since] = carried
+            self._take(searched)
+        return known
+
+    def _take(self, end: int) -> list[Samples]:
+        """Remove and return the waiting samples with smaller numbers."""
+        taken = []
+        while self._waiting and self._waiting[0][0] < end:
+            begin, samples = self._waiting.popleft()
+            taken.append(samples.select(slice(end - begin)))
+            if begin + len(samples) > end:
+                self._waiting.appendleft((end, samples.select(slice(end - begin, None))))
+        return taken
+
+    def _report(self, name: str, first: int) -> None:
+        """Tell what was carried in a recording whose first stamp [ns] this is."""
+        loads = [
+            f"{load.mass:.2f} kg from {max(0.0, 1e-9 * (since - first)):.1f} s on"
+            for since, load in self._carried.items()
+        ]
+        link, end = next(iter(self._carried.values())).link, 1e-9 * (self._detector.searched_stamp - first)
+        self._review.settled.append(
+            f"{name}: '{link}' carries {', '.join(loads)}, until {end:.1f} s: these samples are left out"
+        )
+        self._review.loads_left_out, self._carried = True, {}
