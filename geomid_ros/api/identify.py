@@ -357,8 +357,8 @@ def identify(options: IdentifyOptions) -> Identification:
     # Whether it repeats to see if legs were in the air beside the friction that was found; the number of rows before.
     unlifted, rows = False, 0
     for rounds_left in range(ROUNDS, -1, -1):
-        make = partial(Session, readers=READERS, loads=known)
-        session, judged = robot.read(make, parameters, lambda session: _read(session, recorded, options.progress))
+        make, read = partial(Session, readers=READERS, loads=known), partial(_read, recorded, options.progress)
+        session, judged = robot.read(make, parameters, read)
         session.review.check_description()
         recorded = replace(recorded, unloaded=session.review.loads_left_out)  # else nobody need look again
         if not unlifted or session.identifier.counts.taken != rows:
@@ -413,7 +413,7 @@ def _recording(share: float) -> str:
     return "recording, fitted" + (f" except the last {100.0 * share:.0f} %" if share > 0.0 else "")
 
 
-def _read(session: Session, bags: Bags, progress: Progress) -> list[Samples]:
+def _read(bags: Bags, progress: Progress, session: Session) -> list[Samples]:
     """Return the samples to test on: the held-out ones, or all fitted ones if none are held out."""
     if bags.holds_out:
         return train(session, bags, progress)

@@ -23,27 +23,31 @@ class Unloaded:
         """``session``: the robot; its review is told what was left out."""
         self._model, self._review = session.model, session.review
         self._detector = change_detector(session, _PACE)
+        self._first: int | None = None  # stamp of the first sample of a recording
         self._count = 0  # samples so far
         self._waiting: deque[tuple[int, Samples]] = deque()  # with the number of the first
         self._carried: dict[int, CarriedPayload] = {}  # since the last pick-up, by the stamps of their beginnings
 
     def __call__(self, name: str, recording: Iterable[Samples]) -> Iterator[Samples]:
         """Yield the samples, in the order of time, of a recording of this ``name``, without those to leave out."""
-        first = 0
+        if self._detector.payload is None:
+            yield from recording
+            return
+        self._first = None
         for samples in recording:
-            first = first or int(samples.stamps[0])
             for piece in samples.in_pieces():
                 self._add(piece)
                 more = True
                 while more:
                     more = self._detector.test()
-                    yield from self._sorted(name, first)
+                    yield from self._sorted(name)
         if self._carried:
-            self._report(name, first)
+            self._report(name)
             self._take(self._count)
         yield from self._take(self._count)
 
     def _add(self, samples: Samples) -> None:
+        self._first = int(samples.stamps[0]) if self._first is None else self._first
         rows, efforts = self._model.rows(samples), self._model.layout.efforts
         slow = np.zeros(rows.targets.shape, dtype=bool)
         if efforts:
@@ -53,12 +57,12 @@ class Unloaded:
         self._waiting.append((self._count, samples))
         self._count += len(samples)
 
-    def _sorted(self, name: str, first: int) -> list[Samples]:
+    def _sorted(self, name: str) -> list[Samples]:
         """Return the samples that are known to be without a payload, and discard those with one."""
         watch, searched = self._detector.payload, self._detector.searched_until
         carried = None if watch is None else watch.payload
         if carried is None and self._carried:  # it was just put down
-            self._report(name, first)
+            self._report(name)
             self._take(searched)
         known = self._take(self._detector.weighed_before)
         if carried is not None:
@@ -76,12 +80,11 @@ class Unloaded:
                 self._waiting.appendleft((end, samples.select(slice(end - begin, None))))
         return taken
 
-    def _report(self, name: str, first: int) -> None:
-        """Tell what was carried in a recording whose first stamp [ns] this is."""
-        loads = [
-            f"{load.mass:.2f} kg from {max(0.0, 1e-9 * (since - first)):.1f} s on"
-            for since, load in self._carried.items()
-        ]
+    def _report(self, name: str) -> None:
+        """Tell what was carried in the recording of this ``name``."""
+        first = self._first or 0
+        begins = [(max(0.0, 1e-9 * (since - first)), load.mass) for since, load in self._carried.items()]
+        loads = [f"{mass:.2f} kg from {begin:.1f} s on" for begin, mass in begins]
         link, end = next(iter(self._carried.values())).link, 1e-9 * (self._detector.searched_stamp - first)
         self._review.settled.append(
             f"{name}: '{link}' carries {', '.join(loads)}, until {end:.1f} s: these samples are left out"

@@ -1,0 +1,79 @@
+"""What was carried for a while is left out of recordings, and told; nothing else is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from files.recordings import BAGS, Recorded, made, stamped, write_bag
+from monitoring.test_payload_watch import AFTER, BEFORE, MASS, RATE, Arm
+
+import geomid_ros
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.samples import Samples
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
+from geomid_ros.session.unloaded import Unloaded
+
+URDF = BAGS / "arm3.urdf"
+NO_CHOICE = {"candidates": [""]}
+LATEST = 3.0  # [s] that may be left out before and after
+
+
+@pytest.fixture
+def session() -> Session:
+    return Session(read_urdf(URDF), Configuration(NO_CHOICE), "arm3.urdf")
+
+
+def times_of(parts: list[Samples]) -> list[float]:
+    return [round(1e-9 * stamp, 3) for part in parts for stamp in part.stamps.tolist()]
+
+
+def test_samples_with_a_payload_are_left_out_and_all_others_come_in_order(session: Session) -> None:
+    arm = Arm()
+    measured, unloaded = arm.measured(arm.loaded), Unloaded(session)
+    kept = times_of([*unloaded("bag", [measured.select(slice(0, 1234)), measured.select(slice(1234, None))])])
+    left_out = sorted({round(1e-9 * stamp, 3) for stamp in measured.stamps.tolist()}.difference(kept))
+    assert kept == sorted(set(kept))
+    assert BEFORE - LATEST < left_out[0] < BEFORE < AFTER < left_out[-1] < AFTER + LATEST
+    np.testing.assert_allclose(np.diff(left_out), 1.0 / RATE)
+    (note,) = session.review.settled
+    assert "bag: 'link3' carries 1.50 kg from 50.0 s on, until 65" in note
+    assert session.review.loads_left_out
+
+
+def test_a_recording_without_a_payload_stays_whole_and_the_next_is_compared_with_it(session: Session) -> None:
+    """What is still carried at its end is left out up to there."""
+    arm = Arm()
+    empty, loaded = arm.measured(arm.truth), arm.measured(arm.loaded)
+    carrying = loaded.select(slice(round(BEFORE * RATE), round(AFTER * RATE)))
+    unloaded = Unloaded(session)
+    assert times_of([*unloaded("first", [empty])]) == times_of([empty])
+    assert not session.review.loads_left_out
+    assert not times_of([*unloaded("second", [carrying])])
+    assert [note.split(":")[0] for note in session.review.settled] == ["second"]
+
+
+def test_identify_leaves_them_out_of_fit_and_test(tmp_path: Path) -> None:
+    arm, kind = Arm(), "sensor_msgs/msg/JointState"
+    measured = arm.measured(arm.loaded)
+    messages = []
+    for stamp, *numbers in zip(
+        measured.stamps.tolist(), measured.position, measured.velocity, measured.effort, strict=True
+    ):
+        fields = dict(zip(("position", "velocity", "effort"), numbers, strict=True))
+        header = stamped(10**9 + stamp)
+        names = [*arm.robot.joint_names]
+        messages.append(Recorded("/joint_states", kind, 10**9 + stamp, made(kind, header=header, name=names, **fields)))
+    bag = write_bag(tmp_path / "bag", messages)
+    found = geomid_ros.identify(bag, URDF, config=NO_CHOICE, hold_out=0.3)
+    assert any("'link3' carries 1.5" in note and "left out" in note for note in found.notes)
+    assert "load" not in {finding.cause.kind for finding in found.session.review.findings}
+    for parts in (found.train, found.held_out):
+        times = np.array(times_of(list(parts))) - 1.0
+        assert len(times) > 10.0 * RATE / 2.0
+        assert not np.any((times > BEFORE) & (times < AFTER))
+    last = found.links[-1]
+    truth = float(arm.truth.links[-1][0])
+    assert abs(last.mass - truth) < min(4.0 * last.std_mass, 0.5 * MASS)
