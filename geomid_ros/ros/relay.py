@@ -64,6 +64,7 @@ class AdaptationNode:
         self._correction = self._new()
         self._commanded = CommandedMotion(self._joints)
         self._said = ""
+        self._change = ""  # last change that switched the correction off
         self._lacking = "none has come"  # why joint states are unusable
         self._inertias = node.create_publisher(InertiaStamped, "~/inertia", 10)
         self._corrections = node.create_publisher(JointState, "~/correction", 10)
@@ -131,15 +132,22 @@ class AdaptationNode:
             self._report()
 
     def _on_gaps(self, message: String) -> None:
-        """Switch off if the identification node notices that a joint has changed; a payload is no gap."""
+        """Switch off if the identification node notices that a joint has changed, until it takes this back: it may find
+        that it was a payload, which is no gap."""
         try:
             channels = {gap["channel"] for gap in json.loads(message.data)["gaps"]}
         except (ValueError, TypeError, KeyError, RecursionError):
             self._node.get_logger().warning(f"a message on {self._gaps} is left out: it names no gaps")
             return
         if changed := [joint for joint in self._joints if joint in channels]:
-            self._correction.latch.switch_off(f"joint '{changed[0]}' has changed, not by a payload ({self._gaps})")
+            self._change = f"joint '{changed[0]}' has changed, not by a payload ({self._gaps})"
+            self._correction.latch.switch_off(self._change)
             self._report()
+        elif self._change and self._correction.latch.reason == self._change:
+            self._node.get_logger().info(
+                f"adaptation of '{self._link}' begins anew: {self._gaps} names no joint any more"
+            )
+            self._begin_anew()
 
     def _report(self) -> None:
         """Publish the status, and log once why the correction is off."""

@@ -171,7 +171,7 @@ def test_joint_states_that_lack_something_are_named_and_not_used(adapting: Adapt
     assert np.isfinite([correction.effort for correction in lockstep.corrections]).all()
 
 
-def test_it_ends_where_something_else_has_changed(adapting: Adapting) -> None:
+def test_it_ends_where_something_else_has_changed_until_that_is_taken_back(adapting: Adapting) -> None:
     adapting.reset()
     lockstep, observer, begin = adapting.lockstep, adapting.observer, len(adapting.relay.output)
     gaps = observer.node.create_publisher(String, "/geomid/gap/open", latched(1))
@@ -192,6 +192,10 @@ def test_it_ends_where_something_else_has_changed(adapting: Adapting) -> None:
     adapting.reset()  # a busy machine may have been late
     gaps.publish(String(data=json.dumps({"gaps": [{"channel": "/wrench/fx"}, {"channel": "joint2"}]})))
     observer.wait_for(lambda: "off until ~/reset: joint 'joint2' has changed" in adapting.relay.output, "the end")
+    np.testing.assert_array_equal(lockstep.run(10), 0.0)
+    gaps.publish(String(data=json.dumps({"gaps": []})))  # it was a payload, after all
+    observer.wait_for(lambda: "names no joint any more" in adapting.relay.output, "the next beginning")
+    assert np.max(np.abs(lockstep.run(60))) > 1.0
 
 
 def test_what_is_carried_stays_with_a_newer_estimate(stage: Stage) -> None:
