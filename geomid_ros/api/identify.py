@@ -360,7 +360,7 @@ def identify(options: IdentifyOptions) -> Identification:
         make, read = partial(Session, readers=READERS, loads=known), partial(_read, recorded, options.progress)
         session, judged = robot.read(make, parameters, read)
         session.review.check_description()
-        recorded = replace(recorded, unloaded=session.review.loads_left_out)  # else nobody need look again
+        recorded = replace(recorded, unloaded=False, left_out=session.review.left_out)  # as is known now
         if not unlifted or session.identifier.counts.taken != rows:
             options.progress("solving", 0.0)
             estimate = session.identifier.solve()

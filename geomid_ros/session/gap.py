@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -365,7 +365,8 @@ class GapReader:
         return GapSamples(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
 
     def high_cutoff_samples(self, topic: str = "") -> list[Samples]:
-        """Read the samples to evaluate on, one element per bag, with the highest cutoff that the rate allows.
+        """Read the samples to evaluate on, one element per bag, with the highest cutoff that the rate allows; the
+        longest part if some are left out.
 
         Args:
             topic: read the joints' set-points on this topic instead of the joint states.
@@ -374,8 +375,12 @@ class GapReader:
         for path, share in self.bags.held_out_fractions:
             if share > 0.0:
                 samples = self.samples(path, self.session.new_pipeline(cutoff), topic)
+                held_out = split_held_out(samples, share)[1]
+                holes = sorted(part.begin for part in self.bags.left_out if part.path == path)
+                ends = [0, *np.searchsorted(held_out.stamps, holes), len(held_out)]
+                begin, end = max(pairwise(ends), key=lambda ends: ends[1] - ends[0])
                 # A copy, so that the whole recording is not kept in memory.
-                late.append(Samples.concatenate([split_held_out(samples, share)[1]]))
+                late.append(Samples.concatenate([held_out.select(slice(begin, end)), held_out.select(slice(0))]))
         return late
 
     def _whole(self, path: Path, cutoff: float) -> Samples:
@@ -386,7 +391,8 @@ class GapReader:
         topics = self.bags.topics
         topics = replace(topics, joint_states=topic, joint_option="--command") if topic else topics
         with Bag(path) as bag:
-            return Samples.concatenate(list(read_samples(bag, self.session, pipeline, topics, self.progress)))
+            recording = list(read_samples(bag, self.session, pipeline, topics, self.progress))
+        return self.bags.kept(path, Samples.concatenate(recording))
 
     def rate(self, paths: Sequence[Path]) -> float:
         """Joint messages per second at the beginning of the slowest bag."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TypeVar
@@ -23,7 +24,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import sensor_channels
 from geomid_ros.options import Progress, silent
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.review import faulty_streams
+from geomid_ros.session.review import LeftOut, faulty_streams
 from geomid_ros.session.session import Session
 from geomid_ros.session.unloaded import Unloaded
 from geomid_ros.signals.ledger import meaning_of
@@ -69,6 +70,7 @@ class Bags:
             :data:`HELD_OUT`, or for nothing if there are bags to validate on.
         topics: topics of the joint states and of the base's pose or IMU.
         unloaded: True to leave out what is recorded while a payload is carried (:class:`Unloaded`).
+        left_out: parts that are left out in any case.
 
     Raises:
         InputError: there is no bag, or one is given twice.
@@ -79,6 +81,7 @@ class Bags:
     hold_out: float | None = None
     topics: Topics = Topics("joint_states", "odom")
     unloaded: bool = False
+    left_out: Sequence[LeftOut] = ()
 
     def __post_init__(self) -> None:
         if not self.fitted:
@@ -110,6 +113,14 @@ class Bags:
     def held_out_fractions(self) -> list[tuple[Path, float]]:
         """Every bag with the fraction of it that is held out."""
         return [*((path, self.held_out_fraction) for path in self.fitted), *((path, 1.0) for path in self.validate)]
+
+    def kept(self, path: Path, samples: Samples) -> Samples:
+        """Return the samples of a bag that are not left out."""
+        kept = np.ones(len(samples), dtype=bool)
+        for part in self.left_out:
+            if part.path == path:
+                kept &= (samples.stamps < part.begin) | (samples.stamps >= part.end)
+        return samples if np.all(kept) else samples.select(kept)
 
 
 def recorded_description(bags: Sequence[Path]) -> tuple[str, str]:
@@ -178,13 +189,14 @@ def read_bags(
     """
     fitted = TrainingData(session, fit)
     held_out: list[Samples] = []
-    sort: Callable[[str, Iterator[Samples]], Iterator[Samples]] = Unloaded(session) if bags.unloaded else _all
+    unloaded = Unloaded(session, bags.unloaded)
     for path in bags.fitted:
         pipeline = session.new_pipeline()
         kept: deque[Samples] = deque()
         boundary, first = 0, None
         with Bag(path) as bag:
-            for samples in sort(path.name, read_samples(bag, session, pipeline, bags.topics, progress)):
+            recording = read_samples(bag, session, pipeline, bags.topics, progress)
+            for samples in unloaded(path, filter(len, map(partial(bags.kept, path), recording))):
                 session.review.check.add(samples)
                 first = first or samples.select(slice(1))
                 boundary = max(boundary, _boundary(first, samples, bags.held_out_fraction))
@@ -203,18 +215,17 @@ def read_bags(
         pipeline, check = session.new_pipeline(), session.review.new_check()
         check.begin_recording(path.name)
         with Bag(path) as bag:
-            for samples in sort(path.name, read_samples(bag, session, pipeline, bags.topics, progress)):
+            recording = read_samples(bag, session, pipeline, bags.topics, progress)
+            for samples in unloaded(path, filter(len, map(partial(bags.kept, path), recording))):
                 check.add(samples)
                 held_out.append(samples)
         session.review.judge_validation(path.name, check, pipeline.ledger.topics)
         session.pipeline.ledger.add(pipeline.ledger.topics)
+    session.review.left_out = (*bags.left_out, *unloaded.left_out)
     if not held_out and bags.holds_out:
-        raise InputError(f"{', '.join(map(str, bags.fitted))}: too short, no data left to test on")
+        why = "; ".join(["too short, no data left to test on", *(part.sentence for part in session.review.left_out)])
+        raise InputError(f"{', '.join(map(str, bags.fitted))}: {why}")
     return held_out
-
-
-def _all(_: str, samples: Iterator[Samples]) -> Iterator[Samples]:
-    return samples
 
 
 def train(

@@ -169,6 +169,17 @@ def _solid(link: Element, source: str) -> Solid | None:
         return None
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """Part of the recording at a ``path`` that is left out: stamps [ns] from ``begin`` up to ``end``, excluded; a
+    ``sentence`` tells why."""
+
+    path: Path
+    begin: int
+    end: int
+    sentence: str
+
+
 class Review:
     """Checks of a robot's recordings as a whole, and their findings."""
 
@@ -199,8 +210,8 @@ class Review:
         """Why no later data confirm the estimates of a stream yet; empty if they do, and for recordings."""
         self.settled: list[str] = []
         """Choices made for the user, in sentences."""
-        self.loads_left_out = False
-        """True if parts of the recordings with a payload were left out."""
+        self.left_out: tuple[LeftOut, ...] = ()
+        """Parts of the recordings that were left out."""
         self._kept: tuple[RecordingFault, ...] = ()  # findings on recordings that are checked separately
         self._validated: tuple[str, ...] = ()  # sentences on recordings that are only evaluated on
         self._sound: list[RecordingCheck] = []  # checks of those in which nothing is wrong
@@ -375,7 +386,11 @@ class Review:
     @property
     def notes(self) -> list[str]:
         """Remarks in sentences that do not make results doubtful."""
-        return [*self.settled, *_noted(self._ledger.topics, "note")]
+        return [*self._settled, *_noted(self._ledger.topics, "note")]
+
+    @property
+    def _settled(self) -> tuple[str, ...]:
+        return (*self.settled, *(part.sentence for part in self.left_out))
 
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are from another recording, and which parts of it are missing."""
@@ -398,7 +413,7 @@ class Review:
             remarks=self.remarks,
             unmeasured=(*elsewhere.unmeasured, *self.check.unmeasured),
             incomplete=tuple(self._incomplete),
-            settled=tuple(self.settled),
+            settled=self._settled,
         )
 
     def read_elsewhere(self, recorded: RecordingFacts) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples, regimes
 from geomid_ros.monitoring.payload_watch import CarriedPayload
 from geomid_ros.session.payload import change_detector
+from geomid_ros.session.review import LeftOut
 from geomid_ros.session.session import Session
 
 _PACE = 4  # blocks between searches, as nobody waits for the payload
@@ -19,18 +21,22 @@ _PACE = 4  # blocks between searches, as nobody waits for the payload
 class Unloaded:
     """Leaves out the samples of recordings from when a payload is picked up until it is put down."""
 
-    def __init__(self, session: Session) -> None:
-        """``session``: the robot; its review is told what was left out."""
-        self._model, self._review = session.model, session.review
+    def __init__(self, session: Session, active: bool = True) -> None:
+        """``session``: the robot; not ``active``: nothing is left out."""
+        self._model, self._active = session.model, active
+        self.left_out: list[LeftOut] = []
+        """What was left out so far."""
         self._detector = change_detector(session, _PACE)
         self._first: int | None = None  # stamp of the first sample of a recording
+        self._last = 0  # stamp of its last sample
         self._count = 0  # samples so far
         self._waiting: deque[tuple[int, Samples]] = deque()  # with the number of the first
         self._carried: dict[int, CarriedPayload] = {}  # since the last pick-up, by the stamps of their beginnings
+        self._begin = 0  # stamp of the first sample to leave out since then
 
-    def __call__(self, name: str, recording: Iterable[Samples]) -> Iterator[Samples]:
-        """Yield the samples, in the order of time, of a recording of this ``name``, without those to leave out."""
-        if self._detector.payload is None:
+    def __call__(self, path: Path, recording: Iterable[Samples]) -> Iterator[Samples]:
+        """Yield the samples, in the order of time, of the recording at a ``path``, without those to leave out."""
+        if not self._active or self._detector.payload is None:
             yield from recording
             return
         self._first = None
@@ -40,14 +46,15 @@ class Unloaded:
                 more = True
                 while more:
                     more = self._detector.test()
-                    yield from self._sorted(name)
+                    yield from self._sorted(path)
         if self._carried:
-            self._report(name)
+            self._report(path, self._last)
             self._take(self._count)
         yield from self._take(self._count)
 
     def _add(self, samples: Samples) -> None:
         self._first = int(samples.stamps[0]) if self._first is None else self._first
+        self._last = int(samples.stamps[-1])
         rows, efforts = self._model.rows(samples), self._model.layout.efforts
         slow = np.zeros(rows.targets.shape, dtype=bool)
         if efforts:
@@ -57,15 +64,17 @@ class Unloaded:
         self._waiting.append((self._count, samples))
         self._count += len(samples)
 
-    def _sorted(self, name: str) -> list[Samples]:
+    def _sorted(self, path: Path) -> list[Samples]:
         """Return the samples that are known to be without a payload, and discard those with one."""
         watch, searched = self._detector.payload, self._detector.searched_until
         carried = None if watch is None else watch.payload
         if carried is None and self._carried:  # it was just put down
-            self._report(name)
+            self._report(path, self._detector.searched_stamp)
             self._take(searched)
         known = self._take(self._detector.weighed_before)
         if carried is not None:
+            if not self._carried:
+                self._begin = int(self._waiting[0][1].stamps[0]) if self._waiting else carried.picked_up
             self._carried[carried.since] = carried
             self._take(searched)
         return known
@@ -80,13 +89,12 @@ class Unloaded:
                 self._waiting.appendleft((end, samples.select(slice(end - begin, None))))
         return taken
 
-    def _report(self, name: str) -> None:
-        """Tell what was carried in the recording of this ``name``."""
+    def _report(self, path: Path, last: int) -> None:
+        """Note what was carried in the recording at this ``path``; ``last``: stamp of the last sample to leave out."""
         first = self._first or 0
         begins = [(max(0.0, 1e-9 * (since - first)), load.mass) for since, load in self._carried.items()]
         loads = [f"{mass:.2f} kg from {begin:.1f} s on" for begin, mass in begins]
-        link, end = next(iter(self._carried.values())).link, 1e-9 * (self._detector.searched_stamp - first)
-        self._review.settled.append(
-            f"{name}: '{link}' carries {', '.join(loads)}, until {end:.1f} s: these samples are left out"
-        )
-        self._review.loads_left_out, self._carried = True, {}
+        link, until = next(iter(self._carried.values())).link, 1e-9 * (last - first)
+        sentence = f"{path.name}: '{link}' carries {', '.join(loads)}, until {until:.1f} s: these samples are left out"
+        self.left_out.append(LeftOut(path, self._begin, last + 1, sentence))
+        self._carried = {}

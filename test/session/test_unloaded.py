@@ -13,11 +13,13 @@ import geomid_ros
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
 from geomid_ros.session.unloaded import Unloaded
 
 URDF = BAGS / "arm3.urdf"
 NO_CHOICE = {"candidates": [""]}
+BAG = Path("bag")
 LATEST = 3.0  # [s] that may be left out before and after
 
 
@@ -33,14 +35,16 @@ def times_of(parts: list[Samples]) -> list[float]:
 def test_samples_with_a_payload_are_left_out_and_all_others_come_in_order(session: Session) -> None:
     arm = Arm()
     measured, unloaded = arm.measured(arm.loaded), Unloaded(session)
-    kept = times_of([*unloaded("bag", [measured.select(slice(0, 1234)), measured.select(slice(1234, None))])])
+    kept = times_of([*unloaded(BAG, [measured.select(slice(0, 1234)), measured.select(slice(1234, None))])])
     left_out = sorted({round(1e-9 * stamp, 3) for stamp in measured.stamps.tolist()}.difference(kept))
     assert kept == sorted(set(kept))
     assert BEFORE - LATEST < left_out[0] < BEFORE < AFTER < left_out[-1] < AFTER + LATEST
     np.testing.assert_allclose(np.diff(left_out), 1.0 / RATE)
-    (note,) = session.review.settled
-    assert "bag: 'link3' carries 1.50 kg from 50.0 s on, until 65" in note
-    assert session.review.loads_left_out
+    (part,) = unloaded.left_out
+    assert "bag: 'link3' carries 1.50 kg from 50.0 s on, until 65" in part.sentence
+    assert [round(1e-9 * part.begin, 3), round(1e-9 * part.end, 3)] == [left_out[0], left_out[-1]]
+    assert times_of([Bags(fitted=[BAG], left_out=[part]).kept(BAG, measured)]) == kept
+    assert times_of([*Unloaded(session, active=False)(BAG, [measured])]) == times_of([measured])
 
 
 def test_a_recording_without_a_payload_stays_whole_and_the_next_is_compared_with_it(session: Session) -> None:
@@ -49,10 +53,11 @@ def test_a_recording_without_a_payload_stays_whole_and_the_next_is_compared_with
     empty, loaded = arm.measured(arm.truth), arm.measured(arm.loaded)
     carrying = loaded.select(slice(round(BEFORE * RATE), round(AFTER * RATE)))
     unloaded = Unloaded(session)
-    assert times_of([*unloaded("first", [empty])]) == times_of([empty])
-    assert not session.review.loads_left_out
-    assert not times_of([*unloaded("second", [carrying])])
-    assert [note.split(":")[0] for note in session.review.settled] == ["second"]
+    assert times_of([*unloaded(Path("first"), [empty])]) == times_of([empty])
+    assert not unloaded.left_out
+    assert not times_of([*unloaded(Path("second"), [carrying])])
+    (part,) = unloaded.left_out
+    assert (part.path, part.begin, part.end) == (Path("second"), carrying.stamps[0], carrying.stamps[-1] + 1)
 
 
 def test_identify_leaves_them_out_of_fit_and_test(tmp_path: Path) -> None:
