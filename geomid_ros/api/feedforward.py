@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -114,9 +115,11 @@ def _read(path: Path, topic: str | None) -> Trajectory:
     return read_trajectory(path)
 
 
-def robot_to_move(options: FillOptions, file: EstimateFile | None) -> Session:
-    """Return the robot with its model; without a ``file``, that of the URDF alone. Raises InputError if there is none,
-    or it is doubtful and not forced."""
+def robot_to_move(
+    options: FillOptions, file: EstimateFile | None, carried: Mapping[str, FloatArray] | None = None
+) -> Session:
+    """Return the robot with its model; without a ``file``, that of the URDF alone. ``carried``: inertias ``(10,)`` that
+    its links carry. Raises InputError if there is none, it is doubtful and not forced, or has no such link."""
     if file is None and options.urdf is None:
         raise InputError("no robot is given: give a model (estimate.json), or a urdf for the URDF alone")
     parameters = configuration(options, candidates=[])
@@ -126,7 +129,12 @@ def robot_to_move(options: FillOptions, file: EstimateFile | None) -> Session:
     check_model(options, file)
     robot = description(replace(options, urdf=options.urdf or file.robot_description or None), [], file.source)
     parameters = _with_sensors_of(file, parameters, robot)
-    return predicting_session(robot.text, parameters, robot.source, LoadedModel.of(file))
+    loaded, inertias = LoadedModel.of(file), dict(file.inertias)
+    for link, body in (carried or {}).items():
+        if link not in inertias:
+            raise InputError(f"{file.source}: no link '{link}', which carries a payload")
+        inertias[link] = inertias[link] + body
+    return predicting_session(robot.text, parameters, robot.source, replace(loaded, inertias=inertias))
 
 
 def check_model(options: FillOptions, file: EstimateFile) -> None:

@@ -32,6 +32,7 @@ from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.trajectories import trajectory_of
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.ros.controller import NOT_SENT, ActionRelay, Filled, follow_joint_trajectory, message_of, nothing
 from geomid_ros.ros.diagnostics import status_message
 from geomid_ros.ros.inputs import given_parameters
@@ -39,8 +40,10 @@ from geomid_ros.ros.outputs import inertia_message, latched, ros_time
 from geomid_ros.session.configuration import AT_START, Parameter
 from geomid_ros.session.options import FillOptions
 from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
 
-_GAPS, _ESTIMATE = "geomid/gap/open", "geomid/estimate"  # of the identification node in the same namespace
+# Of the identification node in the same namespace.
+_GAPS, _ESTIMATE, _PAYLOAD = "geomid/gap/open", "geomid/estimate", "geomid/payload/inertia"
 
 
 class AdaptationNode:
@@ -227,7 +230,17 @@ class _RobotOfNode:
         self._refusal = f"no estimate on {self._topic} yet; start geomid_node, or set the parameter model"
         self._log.info(f"waits for a usable estimate on {self._topic}")
         self._file: EstimateFile | None = None
-        self._session: Session | None = None  # of the file, once it is needed
+        self._carried: dict[str, FloatArray] = {}  # by the link that carries it
+        self._session: Session | None = None  # of the file and what is carried, once it is needed
+
+    def carry(self, message: InertiaStamped) -> None:
+        """Count what a link carries as part of it; no mass if it carries nothing."""
+        body, centre = message.inertia, message.inertia.com
+        entries = [getattr(body, name) for name in pseudo_inertia.INERTIA_NAMES]
+        quantities = np.array([body.m, centre.x, centre.y, centre.z, *entries])
+        is_carried = body.m > 0.0 and np.all(np.isfinite(quantities))
+        self._carried = {message.header.frame_id: pseudo_inertia.parameters_of(quantities)} if is_carried else {}
+        self._session = None
 
     def take(self, text: str) -> bool:
         """Take an estimate. Return False, and keep the one before, if it is doubtful or unusable."""
@@ -246,8 +259,9 @@ class _RobotOfNode:
         """Return the robot. Raises InputError if there is no usable estimate."""
         if self._file is None:
             raise InputError(self._refusal)
-        self._session = self._session or robot_to_move(self._options, self._file)
-        return self._session
+        session = self._session or robot_to_move(self._options, self._file, self._carried)
+        self._session = session
+        return session
 
 
 class FeedforwardRelay:
@@ -293,6 +307,8 @@ class FeedforwardRelay:
         else:
             self._robot = of_node = _RobotOfNode(self._options, node)
             node.create_subscription(String, _ESTIMATE, partial(self._on_estimate, of_node), latched())
+            if not heaviest:  # else the link adapts to it
+                node.create_subscription(InertiaStamped, _PAYLOAD, of_node.carry, latched())
         self._publisher = node.create_publisher(JointTrajectory, f"{controller}/joint_trajectory", 10)
         node.create_subscription(JointTrajectory, _IN, partial(self._fill, done=self._relay), 10)
         if (action := follow_joint_trajectory()) is not None:

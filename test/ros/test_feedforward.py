@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from excitation.motions import lively
 from files.recordings import BAGS
+from geometry_msgs.msg import InertiaStamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
@@ -19,6 +21,7 @@ from trajectory_msgs.msg import JointTrajectory
 import geomid_ros
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.ros.controller import message_of
+from geomid_ros.ros.outputs import inertia_message
 
 from .observer import MATCHING, latched
 from .processes import Process
@@ -98,3 +101,42 @@ def relaying(stage: Stage, **parameters: Any) -> tuple[Process, Publisher, Publi
     observer.wait_for(lambda: sent.get_subscription_count() and estimates.get_subscription_count(), "the relay")
     observer.spin(MATCHING)
     return relay, sent, estimates, heard
+
+
+def test_what_the_node_says_is_carried_is_part_of_the_efforts_until_it_is_put_down(stage: Stage, model: Path) -> None:
+    """Compared with pinocchio; a message without finite numbers says nothing."""
+    relay, sent, estimates, heard = relaying(stage)
+    loads = stage.observer.node.create_publisher(InertiaStamped, "/geomid/payload/inertia", latched(1))
+    stage.observer.wait_for(lambda: loads.get_subscription_count() > 0, "the relay")
+    body = pin.Inertia(1.5, np.array([0.01, -0.02, 0.1]), np.diag([0.004, 0.005, 0.003]))
+    estimates.publish(String(data=json.dumps(published(model))))
+    carried = inertia_message("link3", body.toDynamicParameters(), 1)
+    efforts = []
+    for mass in (0.0, 1.5, np.nan, 1.5, 0.0):
+        carried.inertia.m = mass
+        loads.publish(carried)
+        stage.observer.spin(MATCHING)
+        sent.publish(message_of(motion()))
+        stage.observer.wait_for(lambda: len(heard) > len(efforts), "a trajectory")
+        at = {f"{p.time_from_start.sec}.{p.time_from_start.nanosec:09d}": p for p in heard[-1].points}
+        efforts.append(at)
+    loaded = pin.buildModelFromUrdf(str(BAGS / "arm3.urdf"))
+    for index in range(1, loaded.njoints):
+        loaded.inertias[index] = pin.Inertia.Zero()
+    loaded.inertias[loaded.njoints - 1] = body
+    data = loaded.createData()
+    common = sorted(set.intersection(*map(set, efforts)))
+    assert len(common) >= 40
+    for place in common:
+        empty, full, unknown, again, last = (at[place] for at in efforts)
+        added = pin.rnea(loaded, data, *map(np.array, (full.positions, full.velocities, full.accelerations)))
+        for with_load in (full, again):
+            # The gain of each joint's drive, which is near 1, belongs to the model.
+            np.testing.assert_allclose(np.array(with_load.effort) - empty.effort, added, rtol=0.01, atol=1e-6)
+        for without in (unknown, last):
+            np.testing.assert_allclose(without.effort, empty.effort, atol=1e-9)
+    carried.inertia.m, carried.header.frame_id = 1.5, "elsewhere"
+    loads.publish(carried)
+    stage.observer.spin(MATCHING)
+    sent.publish(message_of(motion()))
+    stage.observer.wait_for(lambda: "no link 'elsewhere', which carries a payload" in relay.output, "a refusal")
