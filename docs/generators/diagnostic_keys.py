@@ -114,7 +114,7 @@ def _everything() -> Status:
         accounts={"TOPIC": Account(1, once, once, Counter({"REMARK": 1}), 1)},
         gaps=(ChannelGap("CHANNEL", 1.0, None, 0),),
         estimate=_estimate(),
-        payload=CarriedPayload("LINK", slice(10), np.ones(10), np.eye(10), 0, 0),
+        payload=CarriedPayload("LINK", slice(10), np.ones(10), np.eye(10), 0, 0, 0),
     )
 
 

@@ -189,14 +189,19 @@ def read_bags(
     """
     fitted = TrainingData(session, fit)
     held_out: list[Samples] = []
-    unloaded = Unloaded(session, bags.unloaded)
+    watch = Unloaded(session) if bags.unloaded else None
+
+    def read(path: Path, bag: Bag, pipeline: SignalPipeline) -> Iterator[Samples]:
+        recording = read_samples(bag, session, pipeline, bags.topics, progress)
+        kept = filter(len, map(partial(bags.kept, path), recording))
+        return kept if watch is None else watch(path, kept)
+
     for path in bags.fitted:
         pipeline = session.new_pipeline()
         kept: deque[Samples] = deque()
         boundary, first = 0, None
         with Bag(path) as bag:
-            recording = read_samples(bag, session, pipeline, bags.topics, progress)
-            for samples in unloaded(path, filter(len, map(partial(bags.kept, path), recording))):
+            for samples in read(path, bag, pipeline):
                 session.review.check.add(samples)
                 first = first or samples.select(slice(1))
                 boundary = max(boundary, _boundary(first, samples, bags.held_out_fraction))
@@ -215,13 +220,12 @@ def read_bags(
         pipeline, check = session.new_pipeline(), session.review.new_check()
         check.begin_recording(path.name)
         with Bag(path) as bag:
-            recording = read_samples(bag, session, pipeline, bags.topics, progress)
-            for samples in unloaded(path, filter(len, map(partial(bags.kept, path), recording))):
+            for samples in read(path, bag, pipeline):
                 check.add(samples)
                 held_out.append(samples)
         session.review.judge_validation(path.name, check, pipeline.ledger.topics)
         session.pipeline.ledger.add(pipeline.ledger.topics)
-    session.review.left_out = (*bags.left_out, *unloaded.left_out)
+    session.review.left_out = (*bags.left_out, *(watch.left_out if watch else ()))
     if not held_out and bags.holds_out:
         why = "; ".join(["too short, no data left to test on", *(part.sentence for part in session.review.left_out)])
         raise InputError(f"{', '.join(map(str, bags.fitted))}: {why}")

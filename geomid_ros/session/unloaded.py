@@ -21,9 +21,9 @@ _PACE = 4  # blocks between searches, as nobody waits for the payload
 class Unloaded:
     """Leaves out the samples of recordings from when a payload is picked up until it is put down."""
 
-    def __init__(self, session: Session, active: bool = True) -> None:
-        """``session``: the robot; not ``active``: nothing is left out."""
-        self._model, self._active = session.model, active
+    def __init__(self, session: Session) -> None:
+        """``session``: the robot."""
+        self._model = session.model
         self.left_out: list[LeftOut] = []
         """What was left out so far."""
         self._detector = change_detector(session, _PACE)
@@ -36,7 +36,7 @@ class Unloaded:
 
     def __call__(self, path: Path, recording: Iterable[Samples]) -> Iterator[Samples]:
         """Yield the samples, in the order of time, of the recording at a ``path``, without those to leave out."""
-        if not self._active or self._detector.payload is None:
+        if self._detector.payload is None:
             yield from recording
             return
         self._first = None

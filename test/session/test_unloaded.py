@@ -44,7 +44,6 @@ def test_samples_with_a_payload_are_left_out_and_all_others_come_in_order(sessio
     assert "bag: 'link3' carries 1.50 kg from 50.0 s on, until 65" in part.sentence
     assert [round(1e-9 * part.begin, 3), round(1e-9 * part.end, 3)] == [left_out[0], left_out[-1]]
     assert times_of([Bags(fitted=[BAG], left_out=[part]).kept(BAG, measured)]) == kept
-    assert times_of([*Unloaded(session, active=False)(BAG, [measured])]) == times_of([measured])
 
 
 def test_a_recording_without_a_payload_stays_whole_and_the_next_is_compared_with_it(session: Session) -> None:
