@@ -154,15 +154,15 @@ class CommandedMotion:
 
     def __init__(self, joints: Sequence[str]) -> None:
         self._joints = joints
-        self._trajectories: list[tuple[float, Trajectory | None]] = []  # with their starts [s], in order
+        self._trajectories: list[tuple[float, Trajectory | None]] = []  # with their starts [s], as they were sent
         self.position = np.zeros(len(joints))
         """Last known position ``(joints,)``: the robot is at rest there while there is no trajectory."""
 
     def follow(self, trajectory: Trajectory | None, start: float, now: float) -> None:
-        """Follow a trajectory from ``start`` [s] on in place of any that starts later; None to stop."""
-        earlier = [each for each in self._trajectories if each[0] < start]
-        over = sum(begin <= now - LONGEST_FAULT for begin, _ in earlier) - 1  # a reading may be that old
-        self._trajectories = [*earlier[max(over, 0) :], (start, trajectory)]
+        """Follow a trajectory from ``start`` [s] on, in place of all that were sent before; None to stop."""
+        begun = now - LONGEST_FAULT  # a reading may be that old
+        last = max((place for place, (begin, _) in enumerate(self._trajectories) if begin <= begun), default=0)
+        self._trajectories = [*self._trajectories[last:], (start, trajectory)]
 
     def __call__(self, time: float) -> FloatArray:
         """Return positions, velocities and accelerations ``(3, joints)`` at a time [s]."""

@@ -11,9 +11,12 @@ from monitoring.test_payload_watch import AFTER, BEFORE, MASS, RATE, Arm
 
 import geomid_ros
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.gap import GapReader
 from geomid_ros.session.recordings import Bags
+from geomid_ros.session.review import LeftOut
 from geomid_ros.session.session import Session
 from geomid_ros.session.unloaded import Unloaded
 
@@ -57,6 +60,33 @@ def test_a_recording_without_a_payload_stays_whole_and_the_next_is_compared_with
     assert not times_of([*unloaded(Path("second"), [carrying])])
     (part,) = unloaded.left_out
     assert (part.path, part.begin, part.end) == (Path("second"), carrying.stamps[0], carrying.stamps[-1] + 1)
+
+
+def test_what_is_left_out_is_left_out_of_its_own_bag_wherever_it_is_read() -> None:
+    """From its first stamp to the last but one; simulations need what is left in one piece, and get the longest."""
+    bag, other = BAGS / "arm3", Path("other")
+    session = Session(read_urdf(URDF), Configuration(NO_CHOICE), "arm3.urdf")
+    whole = GapReader(session, Bags(fitted=[bag])).samples(bag, session.new_pipeline())
+    stamps = whole.stamps.tolist()
+    last = len(stamps) - 40
+    parts = [LeftOut(bag, stamps[begin], stamps[end], "") for begin, end in ((3, 6), (last, last + 10))]
+    bags = Bags(fitted=[bag], left_out=[*parts, LeftOut(other, stamps[50], stamps[60], "")])
+    reader = GapReader(session, bags)
+    kept = [*stamps[:3], *stamps[6:last], *stamps[last + 10 :]]
+    assert reader.samples(bag, session.new_pipeline()).stamps.tolist() == kept
+    (longest,) = reader.high_cutoff_samples()
+    assert longest.stamps[-1] < stamps[last] <= longest.stamps[-1] + 1e9 / RATE
+    assert len(longest) > 100
+
+
+def test_efforts_of_slow_joints_say_nothing_of_payloads(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    arm, judged = Arm(), list[Rows]()
+    measured, unloaded = arm.measured(arm.truth), Unloaded(session)
+    monkeypatch.setattr(unloaded._detector, "add", lambda first, stamps, rows: judged.append(rows))  # noqa: ARG005
+    times_of([*unloaded(BAG, [measured])])
+    targets, speed = np.concatenate([rows.targets for rows in judged]), np.abs(measured.velocity)
+    assert np.all(np.isnan(targets[speed < 0.005]))
+    assert np.mean(np.isfinite(targets[speed > 0.8 * np.max(speed)])) > 0.9
 
 
 def test_identify_leaves_them_out_of_fit_and_test(tmp_path: Path) -> None:
