@@ -3,7 +3,8 @@
 Three hypotheses explain the rows since each recent block: the robot is as it was; the link carries a payload, with a
 wide prior; or an unknown effect acts on every channel, as large as observed and different in every block. A payload is
 accepted if its evidence exceeds both others, dropped if the last rows are likelier without it, and exchanged if they
-and those before are likelier with one each (change points of product partitions: Adams, MacKay 2007).
+and those before are likelier with one each (change points of product partitions: Adams, MacKay 2007). If it is likelier
+that the link lost one, the link is learned anew.
 
 Earlier rows enter as their information M about the robot. The rows ``[A e]`` of a channel, with prediction errors e and
 the payload's columns B among A, determine the payload's likelihood, with ``V = M + A'A``, by
@@ -177,6 +178,11 @@ class _Likelihood:
         return self.vagueness + float(self.slope @ body - 0.5 * body @ self.information @ body)
 
     @property
+    def of_loss(self) -> _Likelihood:
+        """Likelihood of the same payloads if they were there before, and are lost."""
+        return replace(self, slope=-self.slope)
+
+    @property
     def largest_excess(self) -> float:
         """Largest log evidence of any payload, even of an impossible one, beyond that of an unknown effect."""
         return self.vagueness + _largest_gain(self.information, self.slope) - self.unknown
@@ -218,6 +224,13 @@ class _Baseline:
         self.information = frozen(self.information + products[:-1, :-1])
         self.mean = frozen(self.mean + step)
         return step
+
+    def forget_body(self) -> None:
+        """Forget the body's parameters; what is known of the others stays."""
+        across = self.information[:, self.body]
+        rest = self.information - across @ np.linalg.pinv(across[self.body], hermitian=True) @ across.T
+        rest[self.body] = rest[:, self.body] = 0.0
+        self.information = frozen(rest)
 
     def reduced(self, parts: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """``[[H h], [h' S]] (10 n + 1, 10 n + 1)`` of rows in n parts, with a payload in each; and the same for the
@@ -402,12 +415,25 @@ class PayloadWatch:
             return False
         tails = ((tail, self._likelihood(tail)) for tail in self._tails())
         shown = [(tail, data) for tail, data in tails if data.largest_excess > self._surprise]
-        fits = [(tail, self._fit(data, [self._prior], self._surprise)) for tail, data in shown]
-        tail, fit = max(fits, key=lambda item: item[1].excess)
+        more = [(tail, self._fit(data, [self._prior], self._surprise)) for tail, data in shown]
+        less = [(tail, self._fit(data.of_loss, [self._prior], self._surprise)) for tail, data in shown]
+        tail, fit = max((*more, *less), key=lambda item: item[1].excess)
         if fit.excess < self._surprise:
             return False
-        self._begin(tail, fit)
-        return True
+        if is_more := any(fit is each for _, each in more):
+            self._begin(tail, fit)
+        else:
+            self._learn_link_anew(tail)
+        return is_more
+
+    def _learn_link_anew(self, tail: _Block) -> None:
+        """Forget what is known of the link, which became lighter: before this ``tail`` it carried something."""
+        before = [block for block, _ in self._recent if block.first < tail.first]
+        self._recent = deque(each for each in self._recent if each[0].first >= tail.first)
+        if before:
+            self._learn(_sum(before))
+        for baseline in self._baselines:
+            baseline.forget_body()
 
     @property
     def _ends(self) -> list[_Block]:

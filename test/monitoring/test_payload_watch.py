@@ -249,3 +249,19 @@ def test_what_was_learned_of_the_robot_is_forgotten_as_time_goes_by() -> None:
         watch.update(10 * block, measured.stamps[:10], same, [ChannelNoise(1.0, 0.0)] * 3, share)
         learned.append(watch._baselines[0].information.copy())
     np.testing.assert_allclose(learned[59], (1.0 + share**20) * learned[39], rtol=1e-9)
+
+
+def test_a_payload_that_was_there_from_the_beginning_is_no_payload_when_it_is_put_down() -> None:
+    """What is known of the link is learned anew: the next payload is noticed."""
+    arm = Arm(1)
+    times = np.arange(len(arm.moving)) / RATE
+    felt = efforts(arm.robot, arm.truth, arm.moving)
+    for begin, end in ((0.0, 30.0), (70.0, END)):
+        carrying = (times >= begin) & (times < end)
+        felt[carrying] = efforts(arm.robot, arm.loaded, arm.moving)[carrying]
+    states = arm.watched(samples(arm.moving, felt + NOISE * arm.rng.normal(size=felt.shape), RATE))
+    assert not any(state.carried for state in states if state.time < 70.0)
+    last = states[-1].carried
+    assert last is not None
+    assert last.mass == pytest.approx(MASS, rel=0.05)
+    assert abs(1e-9 * last.since - 70.0) < 1.0
