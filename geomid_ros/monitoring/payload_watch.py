@@ -289,8 +289,15 @@ class PayloadWatch:
         self._picked_up = 0, 0  # stamp and index of the first sample with any payload
         self._noise: Sequence[ChannelNoise] = [ChannelNoise(1.0, 0.0)] * len(channels)
         self._share = 1.0  # weight that rows learned so far keep after newer rows without a payload
-        self.payload: CarriedPayload | None = None
+        self._body: CarriedPayload | None = None  # that the link carries or, if the sign is -1, has lost
+        self._sign = 1.0
+        self.exchanged: CarriedPayload | None = None
+        """Payload before the last exchange, by its own rows."""
+
+    @property
+    def payload(self) -> CarriedPayload | None:
         """Present payload; None if there is none."""
+        return self._body if self._sign > 0.0 else None
 
     @property
     def notices(self) -> bool:
@@ -325,7 +332,7 @@ class PayloadWatch:
             body, covariance = frozen(ONE_BODY.point(load.parameters).parameters), frozen(load.covariance)
             self._loaded = _Block(load.products, load.rows, load.blocks, 0, load.since)
             self._picked_up = load.since, 0
-            self.payload = CarriedPayload(self._link, self._columns, body, covariance, load.since, *self._picked_up)
+            self._body = CarriedPayload(self._link, self._columns, body, covariance, load.since, *self._picked_up)
         for baseline, mean, information in zip(self._baselines, memory.means, memory.information, strict=True):
             baseline.mean, baseline.information = mean, information
         self._noise = [ChannelNoise(*row) for row in memory.noise.tolist()]
@@ -340,7 +347,7 @@ class PayloadWatch:
             noise: noise of each channel.
             retained: fraction of their weight that earlier rows keep.
         """
-        if self.payload is None:
+        if self._loaded is None:
             known = zip(noise, self._noise, strict=True)
             self._noise = [new if new.independent > 0.0 else old for new, old in known]
             self._share *= retained
@@ -351,11 +358,13 @@ class PayloadWatch:
         )
         counts = np.count_nonzero(measured, axis=0).astype(np.float64)
         block = _Block(products, counts, counts / len(stamps), first, int(stamps[0]))
-        self._recent.append((block, None if self.payload is None else self.payload.parameters))
+        self._recent.append((block, None if self._body is None else self._body.parameters))
         self._loaded = None if self._loaded is None else self._loaded + block
         self._waited = (self._waited + 1) % self._pace
         changed = self._waited == 0 and self._search()
         if len(self._recent) == 2 * REMEMBERED:
+            if self._sign < 0.0:
+                self._learn_link_anew()
             oldest = _sum([self._recent.popleft()[0] for _ in range(REMEMBERED)])
             if self._loaded is None:
                 self._learn(oldest)
@@ -363,9 +372,12 @@ class PayloadWatch:
 
     def _search(self) -> bool:
         """Return True if a payload was picked up or put down, or another one is carried."""
-        if self._loaded is None or self.payload is None:
-            return self._take()
-        return self._drop() or self._exchange(self.payload.parameters, self._loaded)
+        before = self.payload
+        if self._loaded is None or self._body is None:
+            self._take()
+        elif not self._drop():
+            self._exchange(self._body, self._loaded)
+        return (before and before.since) != (self.payload and self.payload.since)
 
     def _learn(self, block: _Block) -> None:
         """Learn from rows without a payload, and shift the errors of recent rows."""
@@ -398,7 +410,8 @@ class PayloadWatch:
             if 0.5 * squares > needed:  # nothing explains more than all of it
                 joints += max(_largest_gain(effects_only[1:, 1:], effects_only[1:, 0]) - needed, 0.0) / inflation
         total, unknown = np.sum(parts, axis=0), max(unknown, joints - self._surprise)
-        return _Likelihood(total[:-1, :-1], total[:-1, -1], vagueness, unknown, np.array(parts)[:, :-1, :-1])
+        slope = self._sign * total[:-1, -1]
+        return _Likelihood(total[:-1, :-1], slope, vagueness, unknown, np.array(parts)[:, :-1, :-1])
 
     @property
     def _last(self) -> list[_Block]:
@@ -409,29 +422,23 @@ class PayloadWatch:
         """Sums of the last block, the last two and so on, the whole window last."""
         return accumulate(self._last, lambda later, earlier: earlier + later)
 
-    def _take(self) -> bool:
-        """Accept a payload if the last rows show one."""
+    def _take(self) -> None:
+        """Accept a payload if the last rows show one, or that one is lost."""
         if not any(map(self._may_differ, self._ends)):
-            return False
+            return
         tails = ((tail, self._likelihood(tail)) for tail in self._tails())
         shown = [(tail, data) for tail, data in tails if data.largest_excess > self._surprise]
         more = [(tail, self._fit(data, [self._prior], self._surprise)) for tail, data in shown]
         less = [(tail, self._fit(data.of_loss, [self._prior], self._surprise)) for tail, data in shown]
         tail, fit = max((*more, *less), key=lambda item: item[1].excess)
-        if fit.excess < self._surprise:
-            return False
-        if is_more := any(fit is each for _, each in more):
+        if fit.excess >= self._surprise:
             self._begin(tail, fit)
-        else:
-            self._learn_link_anew(tail)
-        return is_more
+            self._sign = 1.0 if any(fit is each for _, each in more) else -1.0
 
-    def _learn_link_anew(self, tail: _Block) -> None:
-        """Forget what is known of the link, which became lighter: before this ``tail`` it carried something."""
-        before = [block for block, _ in self._recent if block.first < tail.first]
-        self._recent = deque(each for each in self._recent if each[0].first >= tail.first)
-        if before:
-            self._learn(_sum(before))
+    def _learn_link_anew(self) -> None:
+        """Forget what is known of the link: it has stayed lighter, so it carried something before."""
+        self._recent = deque((block, None) for block, _ in self._recent)
+        self._loaded, self._body, self._sign = None, None, 1.0
         for baseline in self._baselines:
             baseline.forget_body()
 
@@ -458,24 +465,24 @@ class PayloadWatch:
         body = fit.point.parameters
         common, separate = np.outer(body, body), fit.shifts.T @ fit.shifts
         covariance = fit.covariance + self._gain**2 * max(common, separate, key=lambda part: float(part[0, 0]))
-        self.payload = CarriedPayload(
+        self._body = CarriedPayload(
             self._link, self._columns, frozen(body), frozen(covariance), loaded.stamp, *self._picked_up
         )
 
-    def _exchange(self, body: FloatArray, loaded: _Block) -> bool:
+    def _exchange(self, body: CarriedPayload, loaded: _Block) -> None:
         """Accept another payload if the last rows and those ``loaded`` before are likelier with one each; else update
-        the payload ``(10,)`` by all."""
-        known = ONE_BODY.point(body)
+        the payload by all."""
+        known = ONE_BODY.point(body.parameters)
         one = self._fit(self._likelihood(loaded), [known])
-        if any(self._may_differ(self._beyond(tail, body)) for tail in self._ends):
+        if any(self._may_differ(self._beyond(tail, self._sign * body.parameters)) for tail in self._ends):
             tails = [tail for tail in self._tails() if tail.first > loaded.first]
             fits = [self._fit(self._likelihood(loaded - tail, tail), [known, self._prior]) for tail in tails]
             two, tail = max(zip(fits, tails, strict=True), key=lambda item: item[0].excess)
             if two.excess - one.excess > self._surprise:
                 self._begin(tail, self._fit(self._likelihood(tail), [self._prior]))
-                return True
+                self.exchanged = replace(body, parameters=frozen(two.point.parameters[:SIZE]))
+                return
         self._note(loaded, one)
-        return False
 
     def _beyond(self, block: _Block, body: FloatArray) -> _Block:
         """Return the block with the errors that a payload ``(10,)`` leaves."""
@@ -493,7 +500,7 @@ class PayloadWatch:
             against = -likelihood.unknown - (0.0 if payload is None else likelihood.gain(payload))
             if against > self._surprise:
                 self._recent = deque((b, None) for b, _ in self._recent if b.first >= block.first)
-                self._loaded = self.payload = None
+                self._loaded, self._body, self._sign = None, None, 1.0
                 return True
             if against < 0.0:
                 break

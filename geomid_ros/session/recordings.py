@@ -227,8 +227,9 @@ def read_bags(
         session.pipeline.ledger.add(pipeline.ledger.topics)
     session.review.left_out = (*bags.left_out, *(watch.left_out if watch else ()))
     if not held_out and bags.holds_out:
-        why = "; ".join(["too short, no data left to test on", *(part.sentence for part in session.review.left_out)])
-        raise InputError(f"{', '.join(map(str, bags.fitted))}: {why}")
+        why = [part.sentence for part in session.review.left_out] or ["too short"]
+        tested = ", ".join(map(str, bags.validate or bags.fitted))
+        raise InputError(f"{tested}: no data left to test on: {'; '.join(why)}")
     return held_out
 
 

@@ -75,6 +75,9 @@ class Unloaded:
         if carried is not None:
             if not self._carried:
                 self._begin = int(self._waiting[0][1].stamps[0]) if self._waiting else carried.picked_up
+            earlier = None if watch is None else watch.exchanged
+            if earlier is not None and earlier.since in self._carried:
+                self._carried[earlier.since] = earlier
             self._carried[carried.since] = carried
             self._take(searched)
         return known

@@ -265,3 +265,15 @@ def test_a_payload_that_was_there_from_the_beginning_is_no_payload_when_it_is_pu
     assert last is not None
     assert last.mass == pytest.approx(MASS, rel=0.05)
     assert abs(1e-9 * last.since - 70.0) < 1.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_push_upwards_is_not_learned_as_normal(seed: int) -> None:
+    """Nothing is carried when it ends."""
+    arm = Arm(seed)
+    times = np.arange(len(arm.moving)) / RATE
+    felt, loaded = (efforts(arm.robot, each, arm.moving) for each in (arm.truth, arm.loaded))
+    pushed = (times >= 50.0) & (times < 56.0)
+    felt[pushed] = (2.0 * felt - loaded)[pushed]
+    states = arm.watched(samples(arm.moving, felt + NOISE * arm.rng.normal(size=felt.shape), RATE))
+    assert not any(state.carried for state in states)
