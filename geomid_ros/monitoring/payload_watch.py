@@ -432,8 +432,8 @@ class PayloadWatch:
         less = [(tail, self._fit(data.of_loss, [self._prior], self._surprise)) for tail, data in shown]
         tail, fit = max((*more, *less), key=lambda item: item[1].excess)
         if fit.excess >= self._surprise:
+            self._sign = 1.0 if any(fit is each for _, each in more) else -1.0  # first: others ask for the payload
             self._begin(tail, fit)
-            self._sign = 1.0 if any(fit is each for _, each in more) else -1.0
 
     def _learn_link_anew(self) -> None:
         """Forget what is known of the link: it has stayed lighter, so it carried something before."""
