@@ -4,7 +4,7 @@ Three hypotheses explain the rows since each recent block: the robot is as it wa
 wide prior; or an unknown effect acts on every channel, as large as observed and different in every block. A payload is
 accepted if its evidence exceeds both others, dropped if the last rows are likelier without it, and exchanged if they
 and those before are likelier with one each (change points of product partitions: Adams, MacKay 2007). If it is likelier
-that the link lost one, the link is learned anew.
+that the link lost one, nothing is learned meanwhile; if that stays so, the link is learned anew.
 
 Earlier rows enter as their information M about the robot. The rows ``[A e]`` of a channel, with prediction errors e and
 the payload's columns B among A, determine the payload's likelihood, with ``V = M + A'A``, by
@@ -377,7 +377,8 @@ class PayloadWatch:
             self._take()
         elif not self._drop():
             self._exchange(self._body, self._loaded)
-        return (before and before.since) != (self.payload and self.payload.since)
+        since = [None if payload is None else payload.since for payload in (before, self.payload)]
+        return since[0] != since[1]
 
     def _learn(self, block: _Block) -> None:
         """Learn from rows without a payload, and shift the errors of recent rows."""
@@ -428,11 +429,11 @@ class PayloadWatch:
             return
         tails = ((tail, self._likelihood(tail)) for tail in self._tails())
         shown = [(tail, data) for tail, data in tails if data.largest_excess > self._surprise]
-        more = [(tail, self._fit(data, [self._prior], self._surprise)) for tail, data in shown]
-        less = [(tail, self._fit(data.of_loss, [self._prior], self._surprise)) for tail, data in shown]
-        tail, fit = max((*more, *less), key=lambda item: item[1].excess)
+        signed = [(tail, *each) for tail, data in shown for each in ((1.0, data), (-1.0, data.of_loss))]
+        fits = [(self._fit(data, [self._prior], self._surprise), tail, sign) for tail, sign, data in signed]
+        fit, tail, sign = max(fits, key=lambda item: item[0].excess)
         if fit.excess >= self._surprise:
-            self._sign = 1.0 if any(fit is each for _, each in more) else -1.0  # first: others ask for the payload
+            self._sign = sign  # before the body, as other threads ask for the payload
             self._begin(tail, fit)
 
     def _learn_link_anew(self) -> None:

@@ -10,12 +10,11 @@ import numpy as np
 
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples, regimes
-from geomid_ros.monitoring.payload_watch import CarriedPayload
+from geomid_ros.monitoring.change_detection import BLOCK, PART
+from geomid_ros.monitoring.payload_watch import CarriedPayload, PayloadWatch
 from geomid_ros.session.payload import change_detector
 from geomid_ros.session.review import LeftOut
 from geomid_ros.session.session import Session
-
-_PACE = 4  # blocks between searches, as nobody waits for the payload
 
 
 class Unloaded:
@@ -26,7 +25,7 @@ class Unloaded:
         self._model = session.model
         self.left_out: list[LeftOut] = []
         """What was left out so far."""
-        self._detector = change_detector(session, _PACE)
+        self._detector = change_detector(session, pace=BLOCK // PART)  # nobody waits for the payload
         self._first: int | None = None  # stamp of the first sample of a recording
         self._last = 0  # stamp of its last sample
         self._count = 0  # samples so far
@@ -36,7 +35,7 @@ class Unloaded:
 
     def __call__(self, path: Path, recording: Iterable[Samples]) -> Iterator[Samples]:
         """Yield the samples, in the order of time, of the recording at a ``path``, without those to leave out."""
-        if self._detector.payload is None:
+        if (watch := self._detector.payload) is None:
             yield from recording
             return
         self._first = None
@@ -46,7 +45,7 @@ class Unloaded:
                 more = True
                 while more:
                     more = self._detector.test()
-                    yield from self._sorted(path)
+                    yield from self._sorted(path, watch)
         if self._carried:
             self._report(path, self._last)
             self._take(self._count)
@@ -64,10 +63,9 @@ class Unloaded:
         self._waiting.append((self._count, samples))
         self._count += len(samples)
 
-    def _sorted(self, path: Path) -> list[Samples]:
+    def _sorted(self, path: Path, watch: PayloadWatch) -> list[Samples]:
         """Return the samples that are known to be without a payload, and discard those with one."""
-        watch, searched = self._detector.payload, self._detector.searched_until
-        carried = None if watch is None else watch.payload
+        carried, searched = watch.payload, self._detector.searched_until
         if carried is None and self._carried:  # it was just put down
             self._report(path, self._detector.searched_stamp)
             self._take(searched)
@@ -75,8 +73,7 @@ class Unloaded:
         if carried is not None:
             if not self._carried:
                 self._begin = int(self._waiting[0][1].stamps[0]) if self._waiting else carried.picked_up
-            earlier = None if watch is None else watch.exchanged
-            if earlier is not None and earlier.since in self._carried:
+            if (earlier := watch.exchanged) is not None and earlier.since in self._carried:
                 self._carried[earlier.since] = earlier
             self._carried[carried.since] = carried
             self._take(searched)
