@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.live.searches import BackgroundSearch, PayloadSearch
+from geomid_ros.checks.causes import Cause, RecordingFault
+from geomid_ros.live import searches
+from geomid_ros.live.searches import BackgroundSearch, FoundGap, PayloadSearch
 from geomid_ros.options import Progress
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, Recent
 
@@ -42,6 +44,17 @@ def test_another_can_be_started_after_one_was_ended() -> None:
     assert search.status is not None
     assert search.status.sentence == "found"
     assert told.empty()
+
+
+def test_a_doubtful_gap_says_so_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is only suspected is no doubt."""
+    monkeypatch.setattr(searches, "verdict_sentence", lambda _: "Found: nothing.")
+    faults = [
+        RecordingFault(cause=Cause(kind="sign", sentence=sentence), sure=sure)
+        for sentence, sure in (("reversed", True), ("perhaps late", False))
+    ]
+    result: Any = None
+    assert FoundGap(result, faults, compared="with it").sentence == "DOUBTFUL: reversed. Found: nothing. (with it)"
 
 
 @pytest.mark.parametrize("begin", [50, 0], ids=["in time", "after the clock was set back"])

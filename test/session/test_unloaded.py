@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +12,13 @@ from files.recordings import BAGS, Recorded, made, stamped, write_bag
 from monitoring.test_payload_watch import AFTER, BEFORE, MASS, RATE, Arm
 
 import geomid_ros
+from geomid_ros.errors import InputError
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import GapReader
-from geomid_ros.session.recordings import Bags
+from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.review import LeftOut
 from geomid_ros.session.session import Session
 from geomid_ros.session.unloaded import Unloaded
@@ -60,6 +63,24 @@ def test_a_recording_without_a_payload_stays_whole_and_the_next_is_compared_with
     assert not times_of([*unloaded(Path("second"), [carrying])])
     (part,) = unloaded.left_out
     assert (part.path, part.begin, part.end) == (Path("second"), carrying.stamps[0], carrying.stamps[-1] + 1)
+
+
+@pytest.mark.parametrize("second", [1.3, 1.8])
+def test_an_exchanged_payload_is_told_by_its_own_rows(session: Session, second: float) -> None:
+    """Not by those since the exchange that came before it was noticed."""
+    arm, unloaded = Arm(3), Unloaded(session)
+    times_of([*unloaded(BAG, [arm.measured(arm.loaded, noise=0.1, then=arm.carrying(second))])])
+    (part,) = unloaded.left_out
+    masses = [float(mass) for mass in re.findall(r"([0-9.]+) kg", part.sentence)]
+    assert masses == pytest.approx([MASS, second], rel=0.02)
+
+
+def test_a_validation_bag_of_which_nothing_is_left_is_named(session: Session, tmp_path: Path) -> None:
+    other = Path(shutil.copytree(BAGS / "arm3", tmp_path / "other"))
+    all_of_it = LeftOut(other, 0, 2**62, "something is carried")
+    bags = Bags(fitted=[BAGS / "arm3"], validate=[other], left_out=[all_of_it])
+    with pytest.raises(InputError, match=f"^{re.escape(str(other))}: no data left to test on: something is carried$"):
+        read_bags(session, bags, lambda _: None)
 
 
 def test_what_is_left_out_is_left_out_of_its_own_bag_wherever_it_is_read() -> None:
