@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -221,6 +221,7 @@ def find_gap(options: GapOptions) -> Gap:
             f"{session.loaded.source}: has no fits for description formats: written descriptions have the inertias of "
             "the estimate; identify again from bags to fit them"
         )
+    recorded = replace(recorded, left_out=session.review.left_out)  # as is known now
     reader = GapReader(session, recorded, options.progress)
     sharp = reader.high_cutoff_samples()
     commands = reader.high_cutoff_samples(options.command) if options.command else []

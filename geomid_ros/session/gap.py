@@ -44,6 +44,7 @@ from geomid_ros.session.recordings import (
     split_held_out,
 )
 from geomid_ros.session.session import Session, document
+from geomid_ros.session.unloaded import Unloaded
 from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF
 from geomid_ros.signals.messages import JOINT_STATES, AcceptedMessages, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
@@ -188,9 +189,7 @@ def identified_in(session: Session, recordings: GapSamples, readers: Collection[
     too; None if it has one, or these do not suffice."""
     if session.prior is not None:
         return None
-    effects = {"effects": list(DEFAULT_EFFECTS), "candidates": list(DEFAULT_CANDIDATES)}
-    configuration = session.configuration.with_values({**effects, "filter.cutoff": recordings.cutoff})
-    usual = Session(session.urdf, configuration, session.source, readers=readers)
+    usual = _usual_session(session, recordings.cutoff, readers)
     training = Training(usual)
     for samples in recordings.train:
         training.add(samples)
@@ -198,6 +197,13 @@ def identified_in(session: Session, recordings: GapSamples, readers: Collection[
         return Identified(usual, usual.identifier.solve())
     except InputError:  # the workflow says better what is missing
         return None
+
+
+def _usual_session(session: Session, cutoff: float, readers: Collection[str] = ()) -> Session:
+    """Session of the same robot whose model has the default effects, as ``identify``'s."""
+    effects = {"effects": list(DEFAULT_EFFECTS), "candidates": list(DEFAULT_CANDIDATES)}
+    configuration = session.configuration.with_values({**effects, "filter.cutoff": cutoff})
+    return Session(session.urdf, configuration, session.source, readers=readers)
 
 
 def prior_information(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
@@ -331,7 +337,7 @@ class GapReader:
     progress: Progress = silent
 
     def read(self, simulated: Sequence[Path]) -> GapSamples:
-        """Read the samples to fit and those to evaluate on.
+        """Read the samples to fit and those to evaluate on, without those with a payload that is carried for a while.
 
         Args:
             simulated: recordings of the user's simulator, one for each fitted bag, or none.
@@ -348,19 +354,23 @@ class GapReader:
         cutoff = gap_cutoff(self.session, self.rate([*self.bags.all, *simulated]))
         recorded = [self._whole(path, cutoff) for path in fitted]
         twins = [self._whole(path, cutoff) for path in simulated]
-        for samples in recorded:
+        unloaded = Unloaded(_usual_session(self.session, cutoff))
+        kept = [unloaded.kept(path, samples) for path, samples in zip(fitted, recorded, strict=True)]
+        for samples in kept:
             self.session.review.check.add(samples)
         self.session.review.judge()
         for pair in zip(simulated, twins, fitted, recorded, strict=False):
             _check_twin(self.session, *pair)
-        parts = [split_held_out(samples, self.bags.held_out_fraction) for samples in recorded]
+        parts = [split_held_out(samples, self.bags.held_out_fraction) for samples in kept]
         train, held_out = [early for early, _ in parts], [late for _, late in parts]
-        held_out += [self._whole(path, cutoff) for path in validate]
+        held_out += [unloaded.kept(path, self._whole(path, cutoff)) for path in validate]
+        self.session.review.left_out = tuple(unloaded.left_out)
         check_measured(self.session, train, fitted)
         if not any(map(len, held_out)):
-            raise InputError(
-                "no held-out data: hold out a part of the bags with --hold-out, or name others with --validate"
-            )
+            why = [part.sentence for part in unloaded.left_out] or [
+                "hold out a part of the bags with --hold-out, or name others with --validate"
+            ]
+            raise InputError(f"no held-out data: {'; '.join(why)}")
         held_out = [samples for samples in held_out if len(samples)]
         return GapSamples(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
 

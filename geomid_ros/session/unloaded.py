@@ -51,6 +51,10 @@ class Unloaded:
             self._take(self._count)
         yield from self._take(self._count)
 
+    def kept(self, path: Path, recording: Samples) -> Samples:
+        """Return what is left of a whole recording."""
+        return Samples.concatenate([*self(path, [recording]), recording.select(slice(0))])
+
     def _add(self, samples: Samples) -> None:
         self._first = int(samples.stamps[0]) if self._first is None else self._first
         self._last = int(samples.stamps[-1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.measurement_model import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import GapReader
+from geomid_ros.session.gap import GapReader, gap_session
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.review import LeftOut
 from geomid_ros.session.session import Session
@@ -110,25 +111,67 @@ def test_efforts_of_slow_joints_say_nothing_of_payloads(session: Session, monkey
     assert np.mean(np.isfinite(targets[speed > 0.8 * np.max(speed)])) > 0.9
 
 
-def test_identify_leaves_them_out_of_fit_and_test(tmp_path: Path) -> None:
-    arm, kind = Arm(), "sensor_msgs/msg/JointState"
-    measured = arm.measured(arm.loaded)
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm()
+
+
+@pytest.fixture(scope="module")
+def bag(arm: Arm, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording in which the arm carries a payload from ``BEFORE`` to ``AFTER``."""
+    return write_recording(tmp_path_factory.mktemp("recorded") / "bag", arm, arm.measured(arm.loaded))
+
+
+def write_recording(path: Path, arm: Arm, measured: Samples) -> Path:
+    kind, names = "sensor_msgs/msg/JointState", [*arm.robot.joint_names]
     messages = []
     for stamp, *numbers in zip(
         measured.stamps.tolist(), measured.position, measured.velocity, measured.effort, strict=True
     ):
         fields = dict(zip(("position", "velocity", "effort"), numbers, strict=True))
-        header = stamped(10**9 + stamp)
-        names = [*arm.robot.joint_names]
-        messages.append(Recorded("/joint_states", kind, 10**9 + stamp, made(kind, header=header, name=names, **fields)))
-    bag = write_bag(tmp_path / "bag", messages)
-    found = geomid_ros.identify(bag, URDF, config=NO_CHOICE, hold_out=0.3)
-    assert any("'link3' carries 1.5" in note and "left out" in note for note in found.notes)
-    assert "load" not in {finding.cause.kind for finding in found.session.review.findings}
-    for parts in (found.train, found.held_out):
-        times = np.array(times_of(list(parts))) - 1.0
+        message = made(kind, header=stamped(10**9 + stamp), name=names, **fields)
+        messages.append(Recorded("/joint_states", kind, 10**9 + stamp, message))
+    return write_bag(path, messages)
+
+
+def check_left_out(notes: Sequence[str], *parts: Sequence[Samples]) -> None:
+    """Nothing of when the payload was carried is left in the ``parts``, half of the rest is, and a note says so."""
+    assert any("'link3' carries 1.5" in note and "left out" in note for note in notes)
+    for part in parts:
+        times = np.array(times_of(list(part))) - 1.0
         assert len(times) > 10.0 * RATE / 2.0
         assert not np.any((times > BEFORE) & (times < AFTER))
+
+
+def test_identify_leaves_them_out_of_fit_and_test(arm: Arm, bag: Path) -> None:
+    found = geomid_ros.identify(bag, URDF, config=NO_CHOICE, hold_out=0.3)
+    assert "load" not in {finding.cause.kind for finding in found.session.review.findings}
+    check_left_out(found.notes, found.train, found.held_out)
     last = found.links[-1]
     truth = float(arm.truth.links[-1][0])
     assert abs(last.mass - truth) < min(4.0 * last.std_mass, 0.5 * MASS)
+
+
+def test_gap_leaves_them_out_of_search_and_test(bag: Path) -> None:
+    session = gap_session(read_urdf(URDF), Configuration(NO_CHOICE), "arm3.urdf")
+    read = GapReader(session, Bags(fitted=[bag])).read([])
+    check_left_out(session.notes, read.train, read.held_out)
+
+
+def test_gap_simulates_what_is_left_and_tells_what_is_not(bag: Path) -> None:
+    """Else the payload is a gap: of a link, of loads, of gains; and a load that the recording's check doubts."""
+    found = geomid_ros.find_gap(bag, URDF, hold_out=0.5)
+    check_left_out(found.document["notes"], found.held_out)
+    assert not found.session.review.findings
+    (part,) = found.bags.left_out
+    sharp = GapReader(found.session, found.bags).high_cutoff_samples()
+    assert all(part.begin > samples.stamps[-1] or samples.stamps[0] >= part.end for samples in sharp)
+    assert found.simulated
+
+
+def test_a_gap_of_which_nothing_is_left_to_test_on_names_the_payload(arm: Arm, bag: Path, tmp_path: Path) -> None:
+    measured = arm.measured(arm.loaded)
+    carrying = measured.select(slice(round(BEFORE * RATE), round(AFTER * RATE)))
+    other = write_recording(tmp_path / "other", arm, carrying)
+    with pytest.raises(InputError, match=r"no held-out data: .*other: 'link3' carries 1\.5"):
+        geomid_ros.find_gap(bag, URDF, validate=other)
