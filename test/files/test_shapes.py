@@ -12,7 +12,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.shapes import MeshFinder, ShapeReader
+from geomid_ros.files.mesh_finder import MeshFinder
+from geomid_ros.files.shapes import ShapeReader
 from geomid_ros.model import shapes
 from geomid_ros.model.shape_prior import Solid
 from geomid_ros.types import FloatArray

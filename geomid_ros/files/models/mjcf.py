@@ -20,6 +20,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.files.mesh_finder import MeshFinder
 from geomid_ros.files.models.effects_file import joint_attributes, tilted_gravity
 from geomid_ros.files.models.xml_edits import Edit, edited, insertion, spans_of, with_attributes
 from geomid_ros.geometry import pseudo_inertia
@@ -57,8 +58,6 @@ def mjcf_shapes(urdf: str, source: Path, packages: Mapping[str, Path] = MappingP
         source: its file, above which meshes are searched.
         packages: folders of meshes by package name.
     """
-    from geomid_ros.files.shapes import MeshFinder  # noqa: PLC0415 it takes as long as all other imports
-
     shapes, find = Shapes(), MeshFinder(source, packages).find
     for link in read_xml(urdf, str(source)).findall("link"):
         name = link.get("name", "")
