@@ -361,18 +361,19 @@ def identify(options: IdentifyOptions) -> Identification:
         session, judged = robot.read(make, parameters, read)
         session.review.check_description()
         recorded = replace(recorded, unloaded=False, left_out=session.review.left_out)  # as is known now
+        first = known is None and session.prior is None
         if not unlifted or session.identifier.counts.taken != rows:
             options.progress("solving", 0.0)
-            estimate = session.identifier.solve()
+            changes = partial(_changes_rows, first=first)
+            estimate = session.identifier.solve_unless(changes) if rounds_left else session.identifier.solve()
             rows = estimate.rows_accepted
-        delay, may_repeat = _command_delay(estimate), known is None and session.prior is None
-        by_links = may_repeat and _depends_on_links(estimate)
-        unlifted = may_repeat and not by_links and delay is None and bool(never_lifted(session.model, estimate))
-        if not rounds_left or (delay is None and not by_links and not unlifted):
+        again = bool(rounds_left) and _changes_rows(estimate, first=first)
+        unlifted = bool(rounds_left) and first and not again and bool(never_lifted(session.model, estimate))
+        if not again and not unlifted:
             break
-        if delay is not None:
+        if (delay := _command_delay(estimate)) is not None:
             parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
-        if by_links or unlifted:
+        if first and (unlifted or _depends_on_links(estimate)):
             known = _found_robot(session, estimate)
     if parameters[DELAY]:
         session.review.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
@@ -384,6 +385,12 @@ def identify(options: IdentifyOptions) -> Identification:
         reader=with_same_files(options.reader),
         command=options.command,
     )
+
+
+def _changes_rows(estimate: Estimate, *, first: bool) -> bool:
+    """True if rows are to be made anew by what an estimate found: a delay of commands, or at ``first`` effects whose
+    columns are those of the links."""
+    return _command_delay(estimate) is not None or (first and _depends_on_links(estimate))
 
 
 def _depends_on_links(estimate: Estimate) -> bool:

@@ -87,11 +87,13 @@ class EstimationTask:
     settings: EstimatorSettings
     prior: FloatArray | None
 
-    def solve(self, summary: RowSummary, warm: WarmStart | None) -> Estimate:
-        """Estimate from these rows; without ``warm`` it depends on nothing else. Raises InputError if it cannot be
-        computed."""
+    def solve(
+        self, summary: RowSummary, warm: WarmStart | None, passing: Callable[[Estimate], bool] = lambda _: False
+    ) -> Estimate:
+        """Estimate from these rows; without ``warm`` it depends on nothing else. ``passing``: see :func:`estimate`.
+        Raises InputError if it cannot be computed."""
         try:
-            return estimate(self.model, summary, self.settings, self.prior, warm)
+            return estimate(self.model, summary, self.settings, self.prior, warm, passing=passing)
         except LinAlgError as error:
             raise InputError(BEYOND_PRECISION) from error
 
@@ -309,6 +311,10 @@ class Identifier:
     def solve(self, warm: WarmStart | None = None) -> Estimate:
         """Estimate from all rows so far; without ``warm`` it depends on nothing else."""
         return self._solve(self._task, self.snapshot(), warm)
+
+    def solve_unless(self, passing: Callable[[Estimate], bool]) -> Estimate:
+        """Like :meth:`solve`, but fit no files to an estimate that is ``passing``: rows will be made anew by it."""
+        return self._task.solve(self.snapshot(), None, passing)
 
     def use(self, settings: EstimatorSettings) -> None:
         """Use these settings from now on. Raises InputError for a weighed mass that does not fit the model."""
