@@ -23,7 +23,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-from .arms import Case, Truth, arm, efforts, solved
+from .arms import Case, Truth, arm, efforts, identifier, solved
 from .test_fit import problem
 
 URDF, ALL = {"urdf": ELEMENTS["urdf"]}, {"all": ("urdf", "mjcf", "drake", "gazebo")}
@@ -38,6 +38,15 @@ def error(case: Case, parameters: FloatArray) -> float:
 def test_a_file_that_holds_everything_is_the_estimate() -> None:
     found = solved(arm("arm3", 1, noise=0.05), files=ALL)
     np.testing.assert_allclose(found.within["all"], found.parameters, rtol=1e-6, atol=1e-9)
+
+
+def test_no_file_is_fitted_to_an_estimate_by_which_rows_are_made_anew() -> None:
+    """All else is the same."""
+    identified = identifier(arm("arm3", 1, noise=0.05), files=ALL)
+    found, passing = (identified.solve_unless(lambda _, answer=answer: answer) for answer in (False, True))
+    assert found.within.keys() == ALL.keys()
+    assert not passing.within
+    np.testing.assert_array_equal(passing.parameters, found.parameters)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
