@@ -56,7 +56,9 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("geomid_ros.report.excitation.motion_figure", lambda *_: Figure((1.0, 1.0)))
 
 
-def as_estimated(model: MeasurementModel, summary: RowSummary, settings: EstimatorSettings, *others: Any) -> Estimate:
+def as_estimated(
+    model: MeasurementModel, summary: RowSummary, settings: EstimatorSettings, *others: Any, **_: Any
+) -> Estimate:
     """The estimate, also in place of a fit for each file, which takes as long again."""
     found = estimate(model, summary, replace(settings, files={}), *others)
     return replace(found, within=dict.fromkeys(settings.files, found.parameters))
