@@ -375,7 +375,6 @@ def identify(options: IdentifyOptions) -> Identification:
             parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
         if first and (unlifted or _depends_on_links(estimate)):
             known = _found_robot(session, estimate)
-        del session, judged  # large
     if parameters[DELAY]:
         session.review.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
     return Identification(
