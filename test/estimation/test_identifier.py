@@ -92,7 +92,7 @@ def test_reset_forgets_everything() -> None:
 
 
 def test_efforts_of_no_robot_are_an_error_that_says_what_to_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
     monkeypatch.setattr("geomid_ros.estimation.identifier.estimate", fail)
