@@ -186,7 +186,8 @@ class Solver:
 
     def estimate_before(self, instant: int) -> Estimate | None:
         """Return the last estimate from samples before this index; None if that is too long ago."""
-        earlier = [estimate for samples, estimate in tuple(self._earlier) if samples <= instant]
+        with self._lock:
+            earlier = [estimate for samples, estimate in self._earlier if samples <= instant]
         return earlier[-1] if earlier else None
 
     def _new_detector(self) -> ChangeDetector:
@@ -339,9 +340,7 @@ class Solver:
         try:
             self._session.review.check_description()
             estimate = self._finite(self._session.identifier.solve(warm))
-            if self._keep(estimate, rows, epoch, warm):
-                self._earlier.append((samples, estimate))
-                self._confirm_with_later()
+            if self._keep(estimate, rows, samples, epoch, warm):
                 self._listener.on_estimate(self._session, estimate)
         except Exception as error:  # noqa: BLE001 the last estimate stays; the diagnostics report it
             if not isinstance(error, GeomidError):
@@ -369,9 +368,9 @@ class Solver:
             return estimate
         raise GeomidError("the solver's result is not finite")
 
-    def _keep(self, estimate: Estimate, rows: int, epoch: int, warm: WarmStart | None) -> bool:
-        """Keep an estimate, unless its rows were discarded meanwhile or it did not converge while the previous one
-        did."""
+    def _keep(self, estimate: Estimate, rows: int, samples: int, epoch: int, warm: WarmStart | None) -> bool:
+        """Keep an estimate from the first ``samples``, unless its rows were discarded meanwhile or it did not converge
+        while the previous one did."""
         with self._lock:
             if epoch != self._epoch:
                 return False
@@ -384,4 +383,6 @@ class Solver:
             self.estimate = estimate
             prior_rows = rows if warm is None or warm.effects_alone else warm.rows
             self._session.warm_start = WarmStart(estimate.parameters, prior_rows, estimate.prior_stds)
+            self._earlier.append((samples, estimate))
+            self._confirm_with_later()
             return True

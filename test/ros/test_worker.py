@@ -271,6 +271,24 @@ def test_what_is_forgotten_while_it_is_solved_for_stays_forgotten(quiet: Watched
     assert quiet.estimates.empty()
 
 
+def test_what_is_forgotten_while_an_estimate_is_kept_stays_forgotten(
+    quiet: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is kept and weighed against later data at once, so that nothing of it is left."""
+    arm, solver = Arm(), quiet.worker.solver
+    measured, forgetting = arm.measured(arm.truth), threading.Thread(target=solver.reset, daemon=True)
+
+    def confirm(*_: object) -> None:
+        forgetting.start()
+        forgetting.join(0.2)
+
+    quiet.take(measured, 0, 60)
+    monkeypatch.setattr(quiet.session.review, "confirm", confirm)
+    quiet.take(measured, 60, 500)
+    forgetting.join(PATIENCE)
+    assert (quiet.worker.estimate, solver.estimate_before(500), solver.problem) == (None, None, "")
+
+
 def solved_for(watched: Watched) -> list[int]:
     """The rows of each estimate that was made since the last time."""
     return [watched.estimates.get_nowait().rows_accepted for _ in range(watched.estimates.qsize())]
