@@ -304,7 +304,7 @@ def _round(
     names = search.within_range(search.fit(before.chosen if before else ()))
     is_last, searches = attempt == _ROUNDS - 1, attempt < _ROUNDS
     if searches:  # the remainder must not absorb effects that are not named yet: they would never be found
-        names = search.grow(names, to_the_end=is_last)
+        names = _grown(search, names, to_the_end=is_last)
     search = Selection(names.with_fitted_remainder(design), prior, task.tried)
     names = search.within_range(search.fit(names.chosen, names))
     if searches and settling:
@@ -312,6 +312,21 @@ def _round(
     elif searches:
         names = search.grow(names, to_the_end=is_last)
     return _Round(problem, columns, search, names)
+
+
+def _grown(search: EffectsSearch, names: EffectsFit, *, to_the_end: bool) -> EffectsFit:
+    """Search from ``names``. What contradicts other recordings is explained by all of their errors at once, or by many
+    changes of which each alone explains little, as when all joints are warm: so also search for what explains it if
+    they are right."""
+    others, found = search.prior.other_recordings, search.grow(names, to_the_end)
+    if others is None or found.inflation == 1.0:
+        return found
+    trusting = Selection(
+        search.design, replace(search.prior, other_recordings=replace(others, trusted=True)), search.hypotheses
+    )
+    changed = trusting.grow(trusting.fit(found.chosen), to_the_end)
+    changed = search.grow(search.within_range(search.fit(changed.chosen, changed)), to_the_end)
+    return min(found, changed, key=lambda one: one.score)
 
 
 def _exchanged(search: EffectsSearch, names: EffectsFit) -> tuple[EffectsSearch, EffectsFit]:

@@ -170,8 +170,9 @@ def fit(
     the end, both are searched; the more likely one is returned. A start that trusts the others does so when more
     candidates explain the present measurement, too.
     """
+    others = prior.other_recordings
     trusted = start is not None and start.inflation == 1.0 and set(start.chosen) < set(chosen)
-    if prior.other_recordings is None or prior_std is not None or trusted:
+    if others is None or prior_std is not None or trusted or others.trusted:
         return _fit(design, prior, chosen, start, prior_std)
     loose = _fit(design, prior, chosen, start, inflation=np.inf)
     if loose.inflation == 1.0:
@@ -236,6 +237,7 @@ def _free_fit(
     ends = [len(link_stds), len(link_stds) + 1]
 
     masses_held = np.array(prior.masses_held, dtype=np.int64)
+    trusted = prior.other_recordings is not None and prior.other_recordings.trusted
 
     def objective(prior_scales: FloatArray) -> ProfileObjective:
         links, inflation, individual = np.split(prior_scales, ends)
@@ -249,7 +251,8 @@ def _free_fit(
         tangent, root = manifold.log(prior_point, point)[:payloads_at], spd.roots(hessian, payloads_at)
         link_stds = reestimated_prior_stds(tangent, np.sum(root**2, axis=1), prior.link_prior_stds, prior.certainty)
         individual = reestimated_individual_stds(prior.alike, np.split(previous, ends)[2], tangent, root)
-        return np.concatenate([link_stds, [priors.inflation_of(rows, manifold, point, prior_point, root)], individual])
+        inflation = 1.0 if trusted else priors.inflation_of(rows, manifold, point, prior_point, root)
+        return np.concatenate([link_stds, [inflation], individual])
 
     begin = np.concatenate([link_stds, [inflation], individual_stds])
     if from_scratch and bodies:

@@ -105,11 +105,13 @@ class OtherRecordings:
         rows: ``(r, 10 links + k)`` for the links and the first k coefficients of the prior.
         residuals: ``(r,)``.
         changes: prior standard deviation of the change of each coefficient since then ``(k,)``.
+        trusted: True if they are as exact as they state, whatever contradicts them.
     """
 
     rows: FloatArray
     residuals: FloatArray
     changes: FloatArray = field(default_factory=lambda: np.zeros(0))
+    trusted: bool = False
 
     @property
     def links(self) -> int:
@@ -132,7 +134,7 @@ class OtherRecordings:
     def inflated(self, inflation: float) -> OtherRecordings:
         """Return a copy with all variances multiplied by ``inflation``."""
         root = np.sqrt(inflation)
-        return OtherRecordings(self.rows / root, self.residuals / root, self.changes * root)
+        return replace(self, rows=self.rows / root, residuals=self.residuals / root, changes=self.changes * root)
 
     @cached_property
     def _changed(self) -> tuple[OtherRecordings, float]:

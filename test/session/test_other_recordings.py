@@ -129,3 +129,28 @@ def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session
     assert payload.share > 0.9, "without it other recordings would be trusted less until the links explain it"
     own.loaded = replace(own.loaded, posterior=None, source="elsewhere/estimate.json")
     assert not sure(*prior_information(own))
+
+
+def test_friction_of_all_joints_that_is_less_than_before_is_named_at_each() -> None:
+    """As of a warm robot. Together the changes contradict what was known, each alone explains little of that."""
+    urdf = (planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")
+    kinds, rigid = ("viscous_friction", "coulomb_friction"), planted.rigid(planted.true_inertias(71, 0.2))
+    session = Session(urdf, Configuration({"candidates": [], "effects": [*kinds]}), "arm3.urdf")
+    viscous, level = np.array([[1.5, 2.0, 0.9], [2.5, 3.0, 1.2]])
+
+    def rubbing(warm: float) -> planted.Efforts:
+        return lambda q, v, a: rigid(q, v, a) + warm * (viscous * v + level * np.tanh(v / 0.02))
+
+    identifier = Identifier(session.model)
+    identifier.add(planted.recording(rubbing(1.0), 72, 40.0))
+    own = identified_session(session, identifier.solve())
+    known, deviations = prior_information(own)
+    train, held = [planted.recording(rubbing(0.7), 73, 30.0)], [planted.recording(rubbing(0.7), 74, 15.0)]
+    found = find_gap(own.model, train, held, nominal=own.prior, deviations=deviations, previous=known)
+    joints = own.model.robot.joint_names
+    assert {(f.effect, f.joint) for f in found.sure} == {(kind, joint) for kind in kinds for joint in joints}
+    for finding in found.sure:
+        size = next(iter(finding.parameters.values()))
+        true = 0.7 * (viscous if finding.effect == kinds[0] else level)[joints.index(finding.joint)]
+        assert abs(size.value - true) < 3.0 * size.std
+    assert np.all(found.gap.after < 0.2 * found.gap.before)
