@@ -9,23 +9,16 @@ from types import MappingProxyType
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import (
-    CLEARLY,
-    ODDS,
-    Candidate,
-    EffectsByPlace,
-    EffectsFit,
-    EffectsPrior,
-    EffectsSearch,
-    EffectsSupports,
-)
+from geomid_ros.gap.candidates import CLEARLY, EffectsByPlace
 from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.gap.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.noise import Autoregression, noise_floor, runs_of
 from geomid_ros.gap.records import FEWEST_ROWS, Records, TotalModel
+from geomid_ros.inference.candidates import ODDS, Candidate, EffectTerm
 from geomid_ros.inference.design import Design
-from geomid_ros.inference.fit import fit, fit_of_prior
-from geomid_ros.inference.probability import Support
+from geomid_ros.inference.fit import JointFit, fit, fit_of_prior
+from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement_model import MeasurementModel
@@ -48,10 +41,10 @@ class Analysis:
     one has changed."""
 
     problem: LinearisedProblem
-    search: EffectsSearch
-    inertias_only: EffectsFit
-    effects: EffectsFit
-    supports: dict[Candidate, Support[Candidate]]
+    search: Selection
+    inertias_only: JointFit
+    effects: JointFit
+    supports: dict[Candidate, Support]
     floor: FloatArray
     ordinary: EffectsByPlace = field(default_factory=dict)
     contested: float = 0.0
@@ -61,7 +54,7 @@ class Analysis:
         return self.problem.situation.typical_load(candidate.place) if candidate.effect.grid_value else 0.0
 
     @property
-    def likely(self) -> EffectsFit:
+    def likely(self) -> JointFit:
         """Fit with only the likely named effects."""
         return self.search.without(self.effects, *(c for c in self.effects.chosen if c not in self.supports))
 
@@ -81,7 +74,7 @@ class _Task:
     ordinary: EffectsByPlace
     progress: Progress
 
-    def terms(self, prior: EffectsPrior) -> list[library.EffectTerm]:
+    def terms(self, prior: Prior) -> list[EffectTerm]:
         """Terms of the effects in the model, and of all candidates."""
         return [*prior.terms, *(term for candidate in self.tried for term in candidate.terms)]
 
@@ -93,7 +86,7 @@ class _Task:
 def analyse(
     model: MeasurementModel,
     records: Records,
-    prior: EffectsPrior,
+    prior: Prior,
     progress: Progress,
     known_remainder: KnownRemainder | None = None,
     ordinary: EffectsByPlace = MappingProxyType({}),
@@ -129,7 +122,7 @@ def _identifiable(candidates: Sequence[Candidate], moving: BoolArray) -> list[Ca
     return [c for c in candidates if np.count_nonzero(np.all(moving[:, joints_of(c.place)], axis=1)) >= FEWEST_ROWS]
 
 
-def known_remainder(model: MeasurementModel, records: Records, prior: EffectsPrior) -> KnownRemainder:
+def known_remainder(model: MeasurementModel, records: Records, prior: Prior) -> KnownRemainder:
     """Return the remainder of the model that the ``prior`` describes, on records, with its parameters unchanged; it is
     not known for channels without rows."""
     prior_fit = fit_of_prior(prior)
@@ -161,7 +154,7 @@ def _with_changed_link(task: _Task, last: _Round) -> tuple[_Round, float]:
     if search.prior.other_recordings is None:
         return last, 0.0
     threshold = names.score + 2.0 * np.log(ODDS)
-    trials = list[tuple[EffectsPrior, float, bool]]()
+    trials = list[tuple[Prior, float, bool]]()
     for link in task.links:
         prior = search.prior.with_changed(link)
         selection = Selection(search.design, prior, task.tried)
@@ -173,7 +166,7 @@ def _with_changed_link(task: _Task, last: _Round) -> tuple[_Round, float]:
     if least > threshold or not priors:
         return last, 0.0
 
-    def with_changed(prior: EffectsPrior) -> tuple[float, _Round]:
+    def with_changed(prior: Prior) -> tuple[float, _Round]:
         changed = _searched(task, prior, "searching with a link changed")
         return fit(search.design, prior, changed.found.chosen, changed.found).score, changed
 
@@ -198,7 +191,7 @@ def _judged(task: _Task, last: _Round, contested: float) -> Analysis:
     remainder_parameters = np.array([lack.freedom for lack in found.remainders(design)])
     freedom = np.maximum(rows - found.parameters_by_channel(design) - remainder_parameters, 1.0) / rows
     noise, _ = problem.identifiable_floor(problem.valid_rms(residual) / np.sqrt(freedom))
-    supports = EffectsSupports(last.search, found)
+    supports = Supports(last.search, found)
     if last.search.prior.identified:
         supports = _likely(supports)
     return Analysis(
@@ -213,7 +206,7 @@ def _judged(task: _Task, last: _Round, contested: float) -> Analysis:
     )
 
 
-def _likely(supports: EffectsSupports) -> EffectsSupports:
+def _likely(supports: Supports) -> Supports:
     """Supports without the changes that are no more likely than nothing in their place, nor those that are more likely
     only beside these. What such changes explain is part of the remainder, which is estimated anew, and puts the sizes
     of the others in doubt."""
@@ -223,10 +216,10 @@ def _likely(supports: EffectsSupports) -> EffectsSupports:
         return supports
     rest = search.without(names, *unlikely)
     search = Selection(rest.with_fitted_remainder(search.design), search.prior, search.hypotheses)
-    return _likely(EffectsSupports(search, search.within_range(search.fit(rest.chosen, rest))))
+    return _likely(Supports(search, search.within_range(search.fit(rest.chosen, rest))))
 
 
-def _evidence(supports: EffectsSupports, inner: Collection[int]) -> dict[Candidate, Support[Candidate]]:
+def _evidence(supports: Supports, inner: Collection[int]) -> dict[Candidate, Support]:
     """Evidence for each named effect that is more likely than nothing in its place. For a payload on an ``inner`` link,
     an error of the link is as likely. Beside a URDF the others are not reported, but stay in the fit: any robot may
     have them, and the remainder would else contain what they explain, so that all other effects would be doubted."""
@@ -244,17 +237,17 @@ class _Round:
 
     problem: LinearisedProblem
     columns: Columns
-    search: EffectsSearch
-    found: EffectsFit
+    search: Selection
+    found: JointFit
 
 
-def _searched(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
+def _searched(task: _Task, prior: Prior, stage: str) -> _Round:
     """Alternate search and linearisation until the total model settles; return the last round. A model that does not
     settle is fitted along the result of the last search, in the noise of that: this search may have dropped effects
     that the linearisation used."""
     noise, total = _beginning(task, prior)
     floor: FloatArray | None = None
-    previous: EffectsFit | None = None
+    previous: JointFit | None = None
     settling, variances = False, tuple[FloatArray, ...]()
     attempt, last = 0, None
     while True:
@@ -277,20 +270,20 @@ def _searched(task: _Task, prior: EffectsPrior, stage: str) -> _Round:
         attempt += 1
 
 
-def _beginning(task: _Task, prior: EffectsPrior) -> tuple[tuple[Autoregression, ...], TotalModel]:
+def _beginning(task: _Task, prior: Prior) -> tuple[tuple[Autoregression, ...], TotalModel]:
     """Initial noise, and the total model without named effects."""
     problem = task.linearised(total_model(task.model, fit_of_prior(prior)))
     columns = problem.columns(task.terms(prior))
-    bare: EffectsFit = fit(problem.design(columns, (Autoregression.white(),) * len(task.model.channels)), prior, ())
+    bare: JointFit = fit(problem.design(columns, (Autoregression.white(),) * len(task.model.channels)), prior, ())
     return _flexible_noise(problem, columns, bare, problem.valid), total_model(task.model, bare)
 
 
 def _round(
     task: _Task,
-    prior: EffectsPrior,
+    prior: Prior,
     problem: LinearisedProblem,
     noise: tuple[Autoregression, ...],
-    before: EffectsFit | None,
+    before: JointFit | None,
     *,
     variances: Sequence[FloatArray],
     attempt: int,
@@ -314,7 +307,7 @@ def _round(
     return _Round(problem, columns, search, names)
 
 
-def _grown(search: EffectsSearch, names: EffectsFit, *, to_the_end: bool) -> EffectsFit:
+def _grown(search: Selection, names: JointFit, *, to_the_end: bool) -> JointFit:
     """Search from ``names``. What contradicts other recordings is explained by all of their errors at once, or by many
     changes of which each alone explains little, as when all joints are warm: so also search for what explains it if
     they are right."""
@@ -329,7 +322,7 @@ def _grown(search: EffectsSearch, names: EffectsFit, *, to_the_end: bool) -> Eff
     return min(found, changed, key=lambda one: one.score)
 
 
-def _exchanged(search: EffectsSearch, names: EffectsFit) -> tuple[EffectsSearch, EffectsFit]:
+def _exchanged(search: Selection, names: JointFit) -> tuple[Selection, JointFit]:
     """Exchange a named effect for a rival if it is better with a remainder of its own: the present remainder was
     estimated beside the named effect, and favours it."""
     best, design = names, search.design
@@ -346,15 +339,13 @@ def _exchanged(search: EffectsSearch, names: EffectsFit) -> tuple[EffectsSearch,
     return search, search.optimise(search.fit(best.chosen, best))
 
 
-def _with_own_remainder(
-    search: EffectsSearch, found: EffectsFit, channels: Collection[int]
-) -> tuple[Design, EffectsFit]:
+def _with_own_remainder(search: Selection, found: JointFit, channels: Collection[int]) -> tuple[Design, JointFit]:
     """Estimate the remainder of some ``channels`` at a fit, and fit again."""
     design = found.with_fitted_remainder(search.design, channels)
     return design, fit(design, search.prior, found.chosen, found)
 
 
-def _same(previous: EffectsFit | None, current: EffectsFit) -> bool:
+def _same(previous: JointFit | None, current: JointFit) -> bool:
     """True if the result equals that of the previous round, up to a fraction of the standard deviations."""
     if previous is None or {c.group for c in previous.chosen} != {c.group for c in current.chosen}:
         return False
@@ -366,7 +357,7 @@ def _same(previous: EffectsFit | None, current: EffectsFit) -> bool:
 
 
 def _flexible_noise(
-    problem: LinearisedProblem, columns: Columns, bare: EffectsFit, valid: BoolArray
+    problem: LinearisedProblem, columns: Columns, bare: JointFit, valid: BoolArray
 ) -> tuple[Autoregression, ...]:
     """Initial noise: the part of the residual outside the span of the columns of each channel's own joint and of the
     whole robot.

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -12,11 +10,9 @@ import numpy as np
 
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.inference.fit import JointFit
 from geomid_ros.inference.prior import GAIN, Prior
-from geomid_ros.inference.probability import Supports
-from geomid_ros.inference.selection import Selection
-from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import (
     DEFAULT_EFFECTS,
     EFFECTS,
@@ -25,26 +21,19 @@ from geomid_ros.model.effects import (
     IdentifiedEffect,
     LoadEffect,
     MotionEffect,
-    OnLink,
     Place,
     Quantity,
     SituationEffect,
     Values,
-    joints_of,
 )
 from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement_model import MeasurementModel
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Column, column_of
 from geomid_ros.types import FloatArray
 
-ODDS = 0.01
-"""Prior odds of an effect at a place, and that a link has changed. If nothing is known of a robot, default effects of
-its joints are as likely as not."""
 CLEARLY = 12.0
 """Difference of minus twice a logarithm that occurs by chance once in four hundred."""
-_FRACTION = 0.3  # prior standard deviation of a coefficient, of the measurement, where nothing else is known of it
 _EXACT = 1e-5  # standard deviation of a sum fixed at zero, relative to the friction: far less than that of any rows
-_OF_COUPLED = 0.05  # fraction of the odds, for coupled joints: most joints have separate motors
 
 
 EffectsByPlace: TypeAlias = Mapping[tuple[str, Place], IdentifiedEffect]
@@ -62,138 +51,6 @@ def library_columns(model: MeasurementModel) -> tuple[Column, ...]:
         for place in model.places.of(effect)
     ]
     return tuple(dict.fromkeys([*columns, SIGN, SMOOTH_SIGN, REST, *model.columns]))
-
-
-@dataclass(frozen=True)
-class EffectTerm:
-    """Linear coefficient number ``index`` of an effect at a place."""
-
-    effect: Effect
-    place: Place
-    index: int = 0
-
-    @staticmethod
-    def of(coefficient: Coefficient) -> EffectTerm:
-        """Create the term of a model's coefficient."""
-        return EffectTerm(coefficient.effect, coefficient.place, coefficient.index)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    @cached_property
-    def _hash(self) -> int:  # looked up very often
-        return hash((self.effect, self.place, self.index))
-
-    @property
-    def joints(self) -> tuple[int, ...]:
-        """Joints of its place."""
-        return joints_of(self.place)
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """An effect at a place, with one value of its grid constant, if it has one.
-
-    Attributes:
-        effect: with its constants.
-        place: where it acts.
-        terms: its coefficients; none for a payload, which is a body.
-        in_model: True if the model has it, so that it may have changed.
-        odds: prior odds for any constant.
-    """
-
-    effect: Effect
-    place: Place
-    terms: tuple[EffectTerm, ...]
-    in_model: bool = False
-    odds: float = 1.0
-
-    @staticmethod
-    def of(effect: Effect, place: Place, *, in_model: bool = False, ordinary: bool = False) -> Candidate:
-        """Create the candidate of an effect at a place; ``ordinary``: True if every joint may well have it."""
-        odds = 1.0 if ordinary else ODDS * (_OF_COUPLED if effect.place == "joints" else 1.0)
-        return Candidate(effect, place, tuple(_terms(effect, place)), in_model, odds)
-
-    def excludes(self, other: Candidate) -> bool:
-        """True if both at once make no sense: same effect and place, one a special case of the other, two payloads."""
-        if self.payload is not None and other.payload is not None:
-            return True
-        return self.includes(other) or other.includes(self)
-
-    def includes(self, other: Candidate) -> bool:
-        """True if it is the same with another constant, or if the other is a special case of it."""
-        nested = self.effect.contains == other.name and joints_of(self.place) == joints_of(other.place)
-        return self.group == other.group or nested
-
-    @cached_property
-    def cost(self) -> float:
-        """Minus twice the log of the prior odds for its value of the constant."""
-        constants = 1 if self.in_model else len(self.effect.grid())
-        return -2.0 * float(np.log(self.odds / constants))
-
-    @cached_property
-    def prior_std(self) -> tuple[float, ...]:
-        """Prior stds of the coefficients about their known values; 0: a fraction of the measurement."""
-        return tuple(
-            term.effect.default_prior_std[term.index] if term.effect.default_prior_std else 0.0 for term in self.terms
-        )
-
-    @property
-    def prior_std_fraction(self) -> float:
-        """Prior std of the coefficients without another one, as a fraction of the measurement."""
-        return self.effect.prior_std_fraction or _FRACTION
-
-    @property
-    def rescales(self) -> bool:
-        """True if it is a factor on what a channel measures."""
-        return self.effect.scales_measurement
-
-    @property
-    def confusable_with_payload(self) -> bool:
-        """True if a payload may be found in its place."""
-        return self.effect.confusable_with_payload
-
-    @property
-    def relinearises(self) -> bool:
-        """True if all other columns depend on its size."""
-        return bool(self.effect.relinearise_beyond)
-
-    def is_out_of_range(self, coefficients: FloatArray) -> bool:
-        """True if no working robot has it with these ``coefficients (k,)``."""
-        return self.effect.is_out_of_range(coefficients)
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.effect.name
-
-    @cached_property
-    def payload(self) -> int | None:
-        """Link that carries it, as an index into the identified links; None unless it is a payload."""
-        return self.place.link if isinstance(self.place, OnLink) else None
-
-    @property
-    def joint(self) -> int | None:
-        """Joint at which it acts; None if it acts at none or several."""
-        joints = joints_of(self.place)
-        return joints[0] if len(joints) == 1 else None
-
-    @cached_property
-    def positives(self) -> int:
-        """Number of leading coefficients that cannot be negative; effects identified with inertias may have other
-        signs."""
-        return sum(part.column_positives for part in self.effect.parts) if self.in_model else self.effect.positives
-
-    @cached_property
-    def group(self) -> tuple[str, Place]:
-        """Name and place. Candidates of one group are the same effect with different constants."""
-        return self.name, self.place
-
-
-EffectsFit: TypeAlias = JointFit[Candidate, EffectTerm]
-EffectsPrior: TypeAlias = Prior[EffectTerm]
-EffectsSearch: TypeAlias = Selection[Candidate, EffectTerm]
-EffectsSupports: TypeAlias = Supports[Candidate, EffectTerm]
 
 
 def candidates(
@@ -255,14 +112,8 @@ def _order(candidate: Candidate) -> tuple[int, int]:
     return kind, candidate.joint or 0 if kind == 0 else 0
 
 
-def _terms(effect: Effect, place: Place) -> Iterator[EffectTerm]:
-    for part in effect.parts:
-        count = len(place.channels) if isinstance(place, AtSensor) else part.count
-        yield from (EffectTerm(part, place, index) for index in range(count))
-
-
 def parameters(
-    model: MeasurementModel, found: EffectsFit, candidate: Candidate, log_std: float = 0.0, usual_load: float = 0.0
+    model: MeasurementModel, found: JointFit, candidate: Candidate, log_std: float = 0.0, usual_load: float = 0.0
 ) -> dict[str, Quantity]:
     """Parameters of a candidate with their standard deviations. ``log_std``: that of the logarithm of the grid
     constant. ``usual_load``: standard deviation of the joint's rigid-body load [N m or N]."""
@@ -274,7 +125,7 @@ def parameters(
     return _quantities(model, candidate, values, found.covariance_of(candidate.terms), log_std, usual_load)
 
 
-def known_before(model: MeasurementModel, prior: EffectsPrior, candidate: Candidate, usual_load: float = 0.0) -> Values:
+def known_before(model: MeasurementModel, prior: Prior, candidate: Candidate, usual_load: float = 0.0) -> Values:
     """Parameters of a candidate in the given model; empty if it had no such effect."""
     if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
         return {}
@@ -283,7 +134,7 @@ def known_before(model: MeasurementModel, prior: EffectsPrior, candidate: Candid
     return {name: quantity.value for name, quantity in before.items()}
 
 
-def _payload(fit: EffectsFit, link: int) -> tuple[FloatArray, FloatArray]:
+def _payload(fit: JointFit, link: int) -> tuple[FloatArray, FloatArray]:
     """Mass, centre of mass and inertia of a link's payload ``(10,)``, and their covariance ``(10, 10)``, including the
     unknown common gain of the efforts, which scales mass and inertia."""
     place = fit.manifold.links - len(fit.bodies) + fit.bodies.index(link)
@@ -294,7 +145,7 @@ def _payload(fit: EffectsFit, link: int) -> tuple[FloatArray, FloatArray]:
     return values, derivative @ fit.inverse_from_data[rows, rows] @ derivative.T + np.outer(by_gain, by_gain)
 
 
-def first_moment(found: EffectsFit, candidate: Candidate) -> dict[str, Quantity]:
+def first_moment(found: JointFit, candidate: Candidate) -> dict[str, Quantity]:
     """Mass times centre of mass of a payload, about the origin of its link; empty for other candidates.
 
     Gravity identifies it even if the mass is not identifiable: where the joints do not move the body up and down, or

@@ -16,15 +16,17 @@ import numpy as np
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import Analysis
-from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectsFit, EffectsPrior, EffectTerm
+from geomid_ros.gap.candidates import CLEARLY
 from geomid_ros.gap.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.records import Records, TotalModel
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.gap.verdict import moment_without_mass, probability_by_size, widened_by_remainder, with_given_stds
 from geomid_ros.geometry import spd
 from geomid_ros.geometry.spd import Packed
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.inference.design import Design
-from geomid_ros.inference.fit import fit, scattered
+from geomid_ros.inference.fit import JointFit, fit, scattered
+from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.probability import probability_of_square
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import (
@@ -51,7 +53,7 @@ class ConfirmedChanges:
     ``findings`` and ``links`` with their sizes, without those that are less likely than nothing; and, where nothing was
     known of joints before, all ``effects`` of the written model, with or without a finding."""
 
-    found: EffectsFit
+    found: JointFit
     inertias: FloatArray
     findings: tuple[Finding, ...]
     links: tuple[LinkChange, ...]
@@ -117,7 +119,7 @@ class _Refit:
         links = len(self.analysis.effects.prior_stds)
         return np.isin(np.arange(links), list(self.changed), invert=True) & self.analysis.search.prior.identified
 
-    def found(self, sure: Sequence[Candidate]) -> tuple[EffectsFit, EffectsFit, list[Candidate], list[_Ordinary]]:
+    def found(self, sure: Sequence[Candidate]) -> tuple[JointFit, JointFit, list[Candidate], list[_Ordinary]]:
         """Fit the ``sure`` effects and significant ordinary effects, without those out of range, on the rows alone, as
         a file predicts from its parameters alone. Return the fit; the last one with all ordinary effects: what is not
         significant may be there all the same, and sizes are as unsure; and both kinds of effects in the fit."""
@@ -169,8 +171,8 @@ class _Refit:
         design: Design,
         named: Sequence[Candidate],
         ordinary: Sequence[_Ordinary],
-        start: EffectsFit,
-    ) -> EffectsFit:
+        start: JointFit,
+    ) -> JointFit:
         names = self.analysis.effects
         prior = _with_ordinary(_as_given(self.analysis.search.prior, named), problem, named, ordinary)
         prior = replace(prior, masses_held=self.masses_held)
@@ -185,7 +187,7 @@ class _Refit:
         return _as_uncertain(result, free)
 
 
-def _as_uncertain(joint_fit: EffectsFit, free: EffectsFit) -> EffectsFit:
+def _as_uncertain(joint_fit: JointFit, free: JointFit) -> JointFit:
     """Give a fit the covariance of the parameters of one whose links are as uncertain as in other recordings. Sums that
     are known stay known: a payload's first moment without its mass. No standard deviation becomes smaller."""
     (from_blocks, from_diagonal), (blocks, diagonal) = (f.manifold.jacobian(f.point) for f in (free, joint_fit))
@@ -200,7 +202,7 @@ def _terms(ordinary: _Ordinary) -> list[EffectTerm]:
     return [EffectTerm.of(coefficient) for coefficient in ordinary]
 
 
-def _evidence(joint_fit: EffectsFit, ordinary: _Ordinary) -> float:
+def _evidence(joint_fit: JointFit, ordinary: _Ordinary) -> float:
     """Second-order loss of score without an effect: its squared deviation from zero in standard deviations; 0 if a
     coefficient has an impossible sign."""
     values = np.array([joint_fit.value(term) for term in _terms(ordinary)])
@@ -210,8 +212,8 @@ def _evidence(joint_fit: EffectsFit, ordinary: _Ordinary) -> float:
 
 
 def _with_ordinary(
-    prior: EffectsPrior, problem: LinearisedProblem, named: Sequence[Candidate], ordinary: Sequence[_Ordinary]
-) -> EffectsPrior:
+    prior: Prior, problem: LinearisedProblem, named: Sequence[Candidate], ordinary: Sequence[_Ordinary]
+) -> Prior:
     """Return a prior in which ordinary effects are a fraction of the measurement, as in ``identify``: a free offset
     would absorb gravity."""
     named_terms = {term for candidate in named for term in candidate.terms}
@@ -227,14 +229,14 @@ def _with_ordinary(
     )
 
 
-def _named(model: MeasurementModel, joint_fit: EffectsFit, full: EffectsFit, candidate: Candidate) -> KnownEffect:
+def _named(model: MeasurementModel, joint_fit: JointFit, full: JointFit, candidate: Candidate) -> KnownEffect:
     """Effect with a name in the form of files."""
     places, parameters = model.places, _as_unsure(model, joint_fit, full, candidate)
     sizes = {name: candidate.effect.between_motions(size) for name, size in candidate.effect.sizes(parameters).items()}
     return KnownEffect(candidate.name, places.name(candidate.place), places.link(candidate.place), parameters | sizes)
 
 
-def _known(joint_fit: EffectsFit, full: EffectsFit, ordinary: _Ordinary) -> KnownEffect:
+def _known(joint_fit: JointFit, full: JointFit, ordinary: _Ordinary) -> KnownEffect:
     """Effect in the form of files."""
     terms = _terms(ordinary)
     stds = np.sqrt(np.maximum(*(np.diag(found.covariance_of(terms)) for found in (joint_fit, full)))).tolist()
@@ -246,7 +248,7 @@ def _known(joint_fit: EffectsFit, full: EffectsFit, ordinary: _Ordinary) -> Know
 
 
 def _as_unsure(
-    model: MeasurementModel, joint_fit: EffectsFit, full: EffectsFit, candidate: Candidate, usual_load: float = 0.0
+    model: MeasurementModel, joint_fit: JointFit, full: JointFit, candidate: Candidate, usual_load: float = 0.0
 ) -> dict[str, Quantity]:
     """Parameters of a candidate in a fit, with the standard deviations that they have in the ``full`` one if these are
     larger."""
@@ -255,7 +257,7 @@ def _as_unsure(
     return {name: replace(q, std=max(q.std, beside[name].std)) for name, q in own.items()}
 
 
-def _as_given(prior: EffectsPrior, sure: Sequence[Candidate]) -> EffectsPrior:
+def _as_given(prior: Prior, sure: Sequence[Candidate]) -> Prior:
     """Return a prior in which only effects with a ``sure`` finding may change."""
     named = {term for candidate in sure for term in candidate.terms}
     factors = np.array([1.0 if term in named else _UNCHANGED for term in prior.terms])
@@ -265,9 +267,9 @@ def _as_given(prior: EffectsPrior, sure: Sequence[Candidate]) -> EffectsPrior:
 def _findings_as_written(
     model: MeasurementModel,
     analysis: Analysis,
-    joint_fit: EffectsFit,
-    full: EffectsFit,
-    whole: EffectsFit,
+    joint_fit: JointFit,
+    full: JointFit,
+    whole: JointFit,
     findings: Sequence[tuple[Candidate, Finding]],
 ) -> Iterator[Finding]:
     """Yield the findings with the written sizes. A sure effect that is impossible without the unsure ones is no surer
@@ -294,7 +296,7 @@ def _findings_as_written(
 
 
 def _as_written(
-    link: LinkChange, model: MeasurementModel, analysis: Analysis, joint_fit: EffectsFit, full: EffectsFit
+    link: LinkChange, model: MeasurementModel, analysis: Analysis, joint_fit: JointFit, full: JointFit
 ) -> LinkChange:
     """Return a changed link with the fitted size, and no surer than this size; an unsure link keeps its size."""
     if link.confidence != "confident":
@@ -324,7 +326,7 @@ def _including(quantity: Quantity, former: float) -> Quantity:
     return replace(quantity, std=max(quantity.std, abs(quantity.value - former)))
 
 
-def folded(problem: LinearisedProblem, found: EffectsFit) -> dict[tuple[str, str], float]:
+def folded(problem: LinearisedProblem, found: JointFit) -> dict[tuple[str, str], float]:
     """Return the changes of joint attributes, as ``dynamics/damping``, in a file that represents no other friction.
 
     Linear friction that was found together with quadratic friction is wrong without it. So the file has the
@@ -343,7 +345,7 @@ def folded(problem: LinearisedProblem, found: EffectsFit) -> dict[tuple[str, str
 
 def _changes(
     problem: LinearisedProblem,
-    fitted: EffectsFit,
+    fitted: JointFit,
     joint: int,
     stored: Sequence[EffectTerm],
     others: Sequence[EffectTerm],

@@ -10,11 +10,12 @@ from operator import attrgetter
 
 import numpy as np
 
-from geomid_ros.gap.candidates import EffectsFit, EffectTerm
 from geomid_ros.gap.features import Basis, Features, KnownRemainder, features
 from geomid_ros.gap.noise import Autoregression, runs_of
 from geomid_ros.gap.records import FEWEST_ROWS, Records, TotalModel
+from geomid_ros.inference.candidates import EffectTerm
 from geomid_ros.inference.design import ChannelRows, Design, RemainderFit
+from geomid_ros.inference.fit import JointFit
 from geomid_ros.model.effects import Effect, MotionEffect, Place, SensorEffect, Situation, SituationEffect, joints_of
 from geomid_ros.model.measurement_model import MeasurementModel, Rows
 from geomid_ros.types import BoolArray, FloatArray
@@ -25,7 +26,7 @@ Columns = Mapping[EffectTerm, Mapping[int, FloatArray]]
 _FRICTION_ERROR = 0.7  # of the noise; samples with less certain dry friction are neither fitted nor evaluated
 
 
-def total_model(model: MeasurementModel, found: EffectsFit) -> TotalModel:
+def total_model(model: MeasurementModel, found: JointFit) -> TotalModel:
     """Return the total model of a joint fit."""
     inertias = np.array([body.parameters for body in model.robot.bodies])
     inertias[list(model.identified)] = found.loaded_inertias
@@ -63,7 +64,7 @@ class LinearisedProblem:
     def at(
         model: MeasurementModel,
         records: Records,
-        found: EffectsFit,
+        found: JointFit,
         floor: FloatArray | None = None,
         known_remainder: KnownRemainder | None = None,
     ) -> LinearisedProblem:
@@ -218,7 +219,7 @@ class LinearisedProblem:
             sizes.append(float(np.fmin.reduce(ratios, initial=np.inf)) if ratios else 0.0)
         return np.array(sizes)
 
-    def residual(self, found: EffectsFit, columns: Columns | None = None) -> FloatArray:
+    def residual(self, found: JointFit, columns: Columns | None = None) -> FloatArray:
         """Measurement minus prediction ``(N, C)``, from the ``columns`` if they are known; for a delayed channel at the
         true time."""
         rows, columns = self.rows, self.columns(found.terms) if columns is None else columns
@@ -232,11 +233,11 @@ class LinearisedProblem:
         """RMS ``(C,)`` of a ``residual (N, C)`` over the valid targets; NaN where there are none."""
         return root_mean_square(np.where(self.valid, residual, np.nan))
 
-    def remainder(self, design: Design, found: EffectsFit) -> FloatArray:
+    def remainder(self, design: Design, found: JointFit) -> FloatArray:
         """Mean of the remainder ``(N, C)``, from the whitened rows of a ``design``."""
         return mean_of(self.features, found.remainders(design))
 
-    def variance(self, found: EffectsFit) -> FloatArray:
+    def variance(self, found: JointFit) -> FloatArray:
         """Variance of the prediction ``(N, C)`` from the uncertainty of the fit and of the known remainder."""
         covariance, variance, columns = found.covariance, np.empty_like(self.rows.targets), self.columns(found.terms)
         for channel in range(variance.shape[1]):  # one by one, to save memory

@@ -11,7 +11,6 @@ import numpy as np
 from geomid_ros.estimation.estimate import is_significant
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import Analysis
-from geomid_ros.gap.candidates import ODDS, Candidate, EffectsFit, EffectsPrior
 from geomid_ros.gap.features import hats, knots
 from geomid_ros.gap.linearised_problem import LinearisedProblem, root_mean_square
 from geomid_ros.gap.records import Records
@@ -28,8 +27,9 @@ from geomid_ros.gap.result import (
     Verdict,
     confidence_of,
 )
-from geomid_ros.inference.fit import fit, fit_of_prior, scattered
-from geomid_ros.inference.prior import GAIN
+from geomid_ros.inference.candidates import ODDS, Candidate
+from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
+from geomid_ros.inference.prior import GAIN, Prior
 from geomid_ros.inference.probability import probability_of_square, relative_std_from_remainder, separability
 from geomid_ros.inference.remainder import DEFAULT_VARIANCE
 from geomid_ros.model.effects import EFFECTS, Quantity, Values
@@ -49,7 +49,7 @@ class HeldOut:
         self._model, self._records, self._analysis = model, records, analysis
         self._last = self._problem(analysis.effects)
 
-    def _problem(self, fit: EffectsFit) -> LinearisedProblem:
+    def _problem(self, fit: JointFit) -> LinearisedProblem:
         known_remainder = self._analysis.problem.known_remainder
         return LinearisedProblem.at(self._model, self._records, fit, self._analysis.floor, known_remainder)
 
@@ -176,7 +176,7 @@ def findings(model: MeasurementModel, analysis: Analysis) -> list[tuple[Candidat
     return sorted(result, key=lambda named: -named[1].loss)
 
 
-def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, sized: EffectsFit) -> Finding:
+def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, sized: JointFit) -> Finding:
     search, names, support = analysis.search, analysis.effects, analysis.supports[candidate]
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
     joint, link = model.places.name(candidate.place), model.places.link(candidate.place)
@@ -204,7 +204,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
 
 
 def moment_without_mass(
-    found: EffectsFit, candidate: Candidate, parameters: Mapping[str, Quantity]
+    found: JointFit, candidate: Candidate, parameters: Mapping[str, Quantity]
 ) -> dict[str, Quantity]:
     """First moment of a payload whose mass may be nothing, by its ``parameters``, if the moment is not; else empty."""
     moment = library.first_moment(found, candidate)
@@ -382,7 +382,7 @@ def _centre(change: FloatArray, covariance: FloatArray) -> dict[str, Quantity]:
     return {axis: Quantity(float(value), float(std), "m") for axis, value, std in zip("xyz", centre, stds, strict=True)}
 
 
-def with_given_stds(prior: EffectsPrior, inflation: float) -> EffectsPrior:
+def with_given_stds(prior: Prior, inflation: float) -> Prior:
     """Return a prior for comparing the scores of fits with given prior std: these cost nothing, and other recordings
     keep the trust that the fit found."""
     return replace(

@@ -14,13 +14,14 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap.analysis import analyse, known_remainder
-from geomid_ros.gap.candidates import Candidate, EffectsByPlace, EffectsPrior, EffectTerm, passivity_constraints
+from geomid_ros.gap.candidates import EffectsByPlace, passivity_constraints
 from geomid_ros.gap.confirmed_changes import confirmed_changes, folded
 from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.gap.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.records import FEWEST_ROWS, Records
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.verdict import HeldOut, changed_links, findings, locate_residuals, ranking, unexplained, verdict
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.inference.fit import fit_of_prior
 from geomid_ros.inference.prior import OtherRecordings, Prior
 from geomid_ros.model.alike_parts import AlikeParts
@@ -229,7 +230,7 @@ def _prior(
     nominal: FloatArray | None,
     deviations: FloatArray | None = None,
     known: OtherRecordings | None = None,
-) -> EffectsPrior:
+) -> Prior:
     size, unknown = len(model.nominal_inertias), np.full(model.dimension, np.nan)
     values = unknown if nominal is None else nominal
     stds = np.nan_to_num((unknown if deviations is None else deviations)[size:])
@@ -256,8 +257,8 @@ def _prior(
 
 
 def _with_other_effects(
-    model: MeasurementModel, records: Records, prior: EffectsPrior, others: Sequence[KnownEffect]
-) -> tuple[EffectsPrior, list[tuple[Candidate, KnownEffect]]]:
+    model: MeasurementModel, records: Records, prior: Prior, others: Sequence[KnownEffect]
+) -> tuple[Prior, list[tuple[Candidate, KnownEffect]]]:
     """Return the prior with these effects in addition to the coefficients, and each effect with its candidate."""
     if not others:
         return prior, []
@@ -285,7 +286,7 @@ def _relative_std(candidate: Candidate, known_effect: KnownEffect) -> float:
     return max((effect.within_motion(size) / abs(size.value) for size in known_sizes), default=0.0)
 
 
-def _with_least_stds(model: MeasurementModel, records: Records, prior: EffectsPrior) -> EffectsPrior:
+def _with_least_stds(model: MeasurementModel, records: Records, prior: Prior) -> Prior:
     """Let coefficients change by a small fraction of the measurement, unless they are larger than that. Next to a
     spring, an offset near zero is known no better than the spring's rest. Changes of larger ones must be named."""
     problem = LinearisedProblem.at(model, records, fit_of_prior(prior))
@@ -298,7 +299,7 @@ def _with_least_stds(model: MeasurementModel, records: Records, prior: EffectsPr
     return replace(prior, prior_stds=np.maximum(prior.prior_stds, least), other_recordings=known)
 
 
-def _as_simulated(model: MeasurementModel, records: Records, prior: EffectsPrior, progress: Progress) -> EffectsPrior:
+def _as_simulated(model: MeasurementModel, records: Records, prior: Prior, progress: Progress) -> Prior:
     """Return the prior of the user's simulator: its inertias with payloads, and its effects, instead of the model's."""
     _check(model, records)
     likely = analyse(model, records, prior.without_other_recordings, progress).likely
@@ -315,7 +316,7 @@ def _as_simulated(model: MeasurementModel, records: Records, prior: EffectsPrior
     )
 
 
-def _coefficients(model: MeasurementModel, prior: EffectsPrior, named_terms: Collection[EffectTerm]) -> FloatArray:
+def _coefficients(model: MeasurementModel, prior: Prior, named_terms: Collection[EffectTerm]) -> FloatArray:
     """The model's coefficients as given ``(coefficients,)``; NaN where absent or in ``named_terms``."""
     terms = [EffectTerm.of(coefficient) for coefficient in model.coefficients]
     is_kept = [term in prior.terms and term not in named_terms for term in terms]

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.profile_objective import LEAST_SHARE
-from geomid_ros.inference.prior import Hypothesis
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.inference.remainder import Marginal, Remainder
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -34,7 +34,7 @@ class ChannelRows:
         columns: FloatArray,
         features: FloatArray,
         block: IntArray,
-        place: Mapping[Any, int],
+        place: Mapping[EffectTerm, int],
         links: IntArray,
         before: FloatArray | None = None,
         expected: FloatArray | None = None,
@@ -177,12 +177,12 @@ class Design:
         nothing."""
         return np.array([np.sqrt(LEAST_SHARE * c.products[-2, -2] / max(c.count, 1)) for c in self.channels])
 
-    def scales(self, terms: Sequence[Any]) -> FloatArray:
+    def scales(self, terms: Sequence[EffectTerm]) -> FloatArray:
         """Scale of each coefficient: its column is as large as the target in one channel, smaller in the others."""
         return np.array([self._scale(term) for term in terms])
 
     @remembered
-    def _scale(self, term: Any) -> float:
+    def _scale(self, term: EffectTerm) -> float:
         places = zip(self.channels, self._places_of_term(term), strict=True)
         squares = np.array([[c.products[-2, -2], c.products[place, place]] for c, place in places])
         target, column = squares[squares[:, 1] > 0.0].T
@@ -190,12 +190,11 @@ class Design:
         return scale if np.isfinite(scale) and scale > 0.0 else 1.0
 
     @remembered
-    def prior_stds(self, candidate: Hypothesis[Any]) -> FloatArray:
+    def prior_stds(self, candidate: Candidate) -> FloatArray:
         """Prior standard deviations ``(k,)`` of a candidate's coefficients."""
-        stds = zip(candidate.prior_std, self.scales(candidate.terms), strict=True)
-        return np.array([std or candidate.prior_std_fraction * scale for std, scale in stds])
+        return candidate.prior_stds(self.scales(candidate.terms))
 
-    def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> ChannelProducts:
+    def gather(self, bodies: Sequence[int], terms: Sequence[EffectTerm]) -> ChannelProducts:
         """Products of the inertial columns, those of each link of ``bodies`` again, the terms and the target."""
         places, blocks = self.places(bodies, terms), []
         for channel, marginal, columns in zip(self.channels, self._marginalised, places, strict=True):
@@ -208,7 +207,7 @@ class Design:
     def with_fitted_remainder(
         self,
         bodies: Sequence[int],
-        terms: Sequence[Any],
+        terms: Sequence[EffectTerm],
         parameters: FloatArray,
         named: FloatArray,
         among: Collection[int] | None = None,
@@ -224,7 +223,9 @@ class Design:
             variances[place] = self.channels[place].remainder.fitted_variances(*residual, float(named[place]), start)
         return self.given(variances)
 
-    def remainders(self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray) -> list[RemainderFit]:
+    def remainders(
+        self, bodies: Sequence[int], terms: Sequence[EffectTerm], parameters: FloatArray
+    ) -> list[RemainderFit]:
         """Remainder of each channel at these ``parameters (D,)``."""
         residuals = self._residuals(bodies, terms, parameters, range(len(self.channels)))
         lacks = []
@@ -242,7 +243,12 @@ class Design:
         return lacks
 
     def gains_of_features(
-        self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray, place: int, names: Sequence[str]
+        self,
+        bodies: Sequence[int],
+        terms: Sequence[EffectTerm],
+        parameters: FloatArray,
+        place: int,
+        names: Sequence[str],
     ) -> dict[str, float]:
         """Gain of twice the log likelihood of channel number ``place`` at ``parameters (D,)`` by the features of each
         name alone, as its only remainder; ``names``: of the blocks of features."""
@@ -251,14 +257,14 @@ class Design:
         of_features = {name: remainder.of_features((named == name)[remainder.block]) for name in dict.fromkeys(names)}
         return {name: alone.gain(vector, square) for name, alone in of_features.items()}
 
-    def powers(self, columns: Hypothesis[Any] | int, values: FloatArray) -> FloatArray:
+    def powers(self, columns: Candidate | int, values: FloatArray) -> FloatArray:
         """Sums of squares ``(C,)`` that a candidate's or a link's columns add to the channels at ``values (k,)``."""
         places = self._places_of_link(columns) if isinstance(columns, int) else self._candidate_places(columns)
         pairs = zip(self.channels, places, strict=True)
         return np.array([float(values @ c.products[np.ix_(place, place)] @ values) for c, place in pairs])
 
     def _residuals(
-        self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray, among: Sequence[int]
+        self, bodies: Sequence[int], terms: Sequence[EffectTerm], parameters: FloatArray, among: Sequence[int]
     ) -> list[tuple[FloatArray, float]]:
         """Residual of each channel in ``among``, as weights of its columns ``(K + 2,)``, and its sum of squares."""
         vector, places, residuals = np.append(parameters, -1.0), self.places(bodies, terms), []
@@ -269,7 +275,7 @@ class Design:
             residuals.append((weights, float(weights @ channel.products @ weights)))
         return residuals
 
-    def places(self, bodies: Sequence[int], terms: Sequence[Any]) -> IntArray:
+    def places(self, bodies: Sequence[int], terms: Sequence[EffectTerm]) -> IntArray:
         """Column indices by channel ``(C, n)``: inertial, those of each link of ``bodies`` again, terms, target."""
         columns = [place for body in bodies for place in self._places_of_link(body).T]
         columns += [self._places_of_term(term) for term in terms]
@@ -280,20 +286,18 @@ class Design:
         return indices
 
     @remembered
-    def _places_of_term(self, term: Any) -> IntArray:
+    def _places_of_term(self, term: EffectTerm) -> IntArray:
         """Index of a term's column in each channel ``(C,)``, -1 (the zero column) where it is absent."""
         return np.array([channel.place.get(term, -1) for channel in self.channels])
 
     @remembered
-    def affected_channels(self, candidate: Hypothesis[Any]) -> list[int]:
+    def affected_channels(self, candidate: Candidate) -> list[int]:
         """Channels that a candidate affects."""
         if candidate.payload is not None:
             return list(range(len(self.channels)))
         return [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
 
-    def candidate_products(
-        self, alike: Sequence[Hypothesis[Any]], places: Mapping[int, IntArray]
-    ) -> list[CandidateProducts]:
+    def candidate_products(self, alike: Sequence[Candidate], places: Mapping[int, IntArray]) -> list[CandidateProducts]:
         """Products of the columns of candidates, which have equally many, with those of a fit at ``places`` in some
         channels."""
         indices, products_by_channel = np.array([self._candidate_places(candidate) for candidate in alike]), []
@@ -306,7 +310,7 @@ class Design:
         return products_by_channel
 
     @remembered
-    def _candidate_places(self, candidate: Hypothesis[Any]) -> IntArray:
+    def _candidate_places(self, candidate: Candidate) -> IntArray:
         """Index of each of a candidate's columns in each channel ``(C, k)``."""
         if candidate.payload is not None:
             return self._places_of_link(candidate.payload)

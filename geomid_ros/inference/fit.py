@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Generic
 
 import numpy as np
 
@@ -24,13 +23,14 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference import prior as priors
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.inference.design import BLOCKS, Design, RemainderFit
-from geomid_ros.inference.prior import Chosen, Prior, Term
+from geomid_ros.inference.prior import Prior
 from geomid_ros.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class JointFit(Generic[Chosen, Term]):
+class JointFit:
     """The minimum for a set of candidates.
 
     Attributes:
@@ -48,8 +48,8 @@ class JointFit(Generic[Chosen, Term]):
         changes: change ``(k,)`` of each candidate's coefficients from their known values, or its body's parameters.
     """
 
-    chosen: tuple[Chosen, ...] = ()
-    terms: tuple[Term, ...]
+    chosen: tuple[Candidate, ...] = ()
+    terms: tuple[EffectTerm, ...]
     point: Point
     manifold: ParameterManifold
     score: float
@@ -60,7 +60,7 @@ class JointFit(Generic[Chosen, Term]):
     inflation: float
     separate_prior_stds: FloatArray
     identified: bool
-    changes: Mapping[Chosen, FloatArray] = field(default_factory=dict)
+    changes: Mapping[Candidate, FloatArray] = field(default_factory=dict)
 
     @property
     def information(self) -> FloatArray:
@@ -113,7 +113,7 @@ class JointFit(Generic[Chosen, Term]):
         half = self.manifold.by_blocks(self.inverse, transposed, diagonal)
         return self.manifold.by_blocks(half.T, transposed, diagonal)
 
-    def covariance_of(self, terms: Sequence[Term]) -> FloatArray:
+    def covariance_of(self, terms: Sequence[EffectTerm]) -> FloatArray:
         """Covariance of some coefficients ``(k, k)``."""
         indices = [self._places[term] for term in terms]
         places, scales = int(self.manifold.real.start) + np.array(indices, dtype=np.intp), self.manifold.scales[indices]
@@ -142,26 +142,26 @@ class JointFit(Generic[Chosen, Term]):
         traces = [float(np.sum(block * covariance[columns[:, None], columns])) for columns, block in pairs]
         return np.asarray(design.counts / self.squares * traces)
 
-    def value(self, term: Term) -> float:
+    def value(self, term: EffectTerm) -> float:
         """Value of a coefficient."""
         return float(self.point.reals[self._places[term]])
 
-    def place(self, term: Term) -> int:
+    def place(self, term: EffectTerm) -> int:
         """Index of a coefficient among the parameters."""
         return int(self.manifold.real.start) + self._places[term]
 
     @cached_property
-    def _places(self) -> dict[Term, int]:
+    def _places(self) -> dict[EffectTerm, int]:
         return {term: place for place, term in enumerate(self.terms)}
 
 
 def fit(
     design: Design,
-    prior: Prior[Term],
-    chosen: Sequence[Chosen],
-    start: JointFit[Chosen, Term] | None = None,
+    prior: Prior,
+    chosen: Sequence[Candidate],
+    start: JointFit | None = None,
     prior_std: float | FloatArray | None = None,
-) -> JointFit[Chosen, Term]:
+) -> JointFit:
     """Fit the chosen candidates together with all known parameters, from an earlier fit if one is given.
 
     The links' prior stds and the trust in other recordings are estimated, unless a ``prior_std`` fixes the prior std of
@@ -182,12 +182,12 @@ def fit(
 
 def _fit(
     design: Design,
-    prior: Prior[Term],
-    chosen: Sequence[Chosen],
-    start: JointFit[Chosen, Term] | None,
+    prior: Prior,
+    chosen: Sequence[Candidate],
+    start: JointFit | None,
     prior_std: float | FloatArray | None = None,
     inflation: float = 1.0,
-) -> JointFit[Chosen, Term]:
+) -> JointFit:
     """Return the minimum reached from the start, with the prior's constraints at zero. The search begins with this
     ``inflation`` of the other recordings."""
     free = _free_fit(design, prior, chosen, start, prior_std, inflation)
@@ -199,13 +199,13 @@ def _fit(
 
 def _free_fit(
     design: Design,
-    prior: Prior[Term],
-    chosen: Sequence[Chosen],
-    start: JointFit[Chosen, Term] | None,
+    prior: Prior,
+    chosen: Sequence[Candidate],
+    start: JointFit | None,
     prior_std: float | FloatArray | None,
     inflation: float,
     constraints: FloatArray | None = None,
-) -> JointFit[Chosen, Term]:
+) -> JointFit:
     """Return the minimum reached from the start; ``constraints``: rows ``(r, terms)`` of coefficients fixed at zero."""
     bodies = [c.payload for c in chosen if c.payload is not None]
     terms = tuple(dict.fromkeys([*prior.terms, *(term for c in chosen for term in c.terms)]))
@@ -299,7 +299,7 @@ def _products(rows: FloatArray, residuals: FloatArray) -> FloatArray:
     return np.asarray(augmented.T @ augmented)
 
 
-def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: ParameterManifold) -> tuple[FloatArray, float]:
+def _known_rows(prior: Prior, chosen: Sequence[Candidate], manifold: ParameterManifold) -> tuple[FloatArray, float]:
     """Rows of other recordings and their cost, none without any; see :meth:`OtherRecordings.present_rows`. Coefficients
     of the chosen candidates have changed since then."""
     if prior.other_recordings is None:
@@ -310,7 +310,7 @@ def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: Paramete
     return prior.other_recordings.present_rows(manifold.dimension, int(manifold.real.start), others)
 
 
-def fit_of_prior(prior: Prior[Term]) -> JointFit[Any, Term]:
+def fit_of_prior(prior: Prior) -> JointFit:
     """The prior as a fit to no data."""
     manifold = ParameterManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
     size = manifold.dimension
@@ -329,7 +329,7 @@ def fit_of_prior(prior: Prior[Term]) -> JointFit[Any, Term]:
     )
 
 
-def _known(manifold: ParameterManifold, prior: Prior[Any], bodies: Sequence[int]) -> Point:
+def _known(manifold: ParameterManifold, prior: Prior, bodies: Sequence[int]) -> Point:
     links = prior.inertias.reshape(-1, 10)
     payloads = [priors.default_payload(links, body) for body in bodies]
     reals = np.zeros(len(manifold.scales))
@@ -340,9 +340,9 @@ def _known(manifold: ParameterManifold, prior: Prior[Any], bodies: Sequence[int]
 def _first_point(
     manifold: ParameterManifold,
     prior_point: Point,
-    start: JointFit[Chosen, Term] | None,
+    start: JointFit | None,
     bodies: Sequence[int],
-    terms: Sequence[Term],
+    terms: Sequence[EffectTerm],
 ) -> Point:
     """Point of an earlier fit with the same bodies, if there is one; its other terms have the prior's values."""
     if start is None:
@@ -354,7 +354,7 @@ def _first_point(
     return Point(start.point.pseudo_inertias[order], np.zeros(0), np.array(reals))
 
 
-def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+def scattered(design: Design, found: JointFit) -> JointFit:
     """Enlarge the standard deviations of a fit to at least the scatter between blocks of time.
 
     If the model has errors, blocks differ by more than noise explains. The covariance of the tangent coordinates is

@@ -1,11 +1,10 @@
-"""Prior of the joint fit: the hypotheses with their odds, links, effects, payloads, and earlier recordings."""
+"""Prior of the joint fit: links, effects, payloads, and earlier recordings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -13,74 +12,9 @@ from geomid_ros.estimation.link_priors import common_prior_stds
 from geomid_ros.estimation.profile_objective import ProfileObjective
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.inference.candidates import EffectTerm
 from geomid_ros.model.alike_parts import ALIKE_PRIOR_STD, AlikeParts
 from geomid_ros.types import FloatArray, IntArray
-
-Term = TypeVar("Term", bound=Hashable)
-"""Identifies a column of the products."""
-_Term_co = TypeVar("_Term_co", bound=Hashable, covariant=True)
-
-
-class Hypothesis(Protocol[_Term_co]):
-    """Columns, or a body (payload), that may explain a part of the measurement."""
-
-    @property
-    def terms(self) -> tuple[_Term_co, ...]:
-        """Identifiers of its columns; empty for a body."""
-
-    @property
-    def payload(self) -> int | None:
-        """Link that carries the body, as an index into the identified links; None for columns."""
-
-    @property
-    def prior_std(self) -> tuple[float, ...]:
-        """Prior stds of its coefficients about their known values; 0: the fraction below."""
-
-    @property
-    def prior_std_fraction(self) -> float:
-        """Prior std of its coefficients without another one, as a fraction of the measurement."""
-
-    @property
-    def odds(self) -> float:
-        """Prior odds for any value of its constant."""
-
-    @property
-    def cost(self) -> float:
-        """Minus twice the logarithm of the prior odds for its value of the constant."""
-
-    @property
-    def positives(self) -> int:
-        """Number of leading coefficients that cannot be negative."""
-
-    @property
-    def group(self) -> Hashable:
-        """Key of its group; at most one hypothesis of each group is selected."""
-
-    @property
-    def rescales(self) -> bool:
-        """True if it is a factor on what a channel measures; factors at all channels together mimic a body."""
-
-    @property
-    def confusable_with_payload(self) -> bool:
-        """True if a body may take its place."""
-
-    @property
-    def relinearises(self) -> bool:
-        """True if all other columns depend on its size, so that a search that finds it must start again."""
-
-    def excludes(self, other: Self) -> bool:
-        """True if both at once make no sense. All members of a group answer alike."""
-
-    def includes(self, other: Self) -> bool:
-        """True if it is the same with another constant, or if the other is a special case of it."""
-
-    def is_out_of_range(self, coefficients: FloatArray) -> bool:
-        """True if no working robot has it with these ``coefficients (k,)``."""
-
-
-Chosen = TypeVar("Chosen", bound=Hypothesis[Any])
-"""Type of the hypotheses that a caller selects from."""
-
 
 GAIN = 0.03
 """Relative standard deviation of a common gain of all efforts, unless it is known; of torques from motor currents."""
@@ -157,7 +91,7 @@ class OtherRecordings:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Prior(Generic[Term]):
+class Prior:
     """Knowledge before the fit.
 
     Attributes:
@@ -176,7 +110,7 @@ class Prior(Generic[Term]):
 
     inertias: FloatArray
     prior_std: float
-    terms: tuple[Term, ...]
+    terms: tuple[EffectTerm, ...]
     values: FloatArray
     prior_stds: FloatArray
     certainty: float
@@ -186,10 +120,10 @@ class Prior(Generic[Term]):
     cost: float = 0.0
     alike: Sequence[AlikeParts] = ()
     masses_held: Sequence[int] = ()
-    constraints: Callable[[Sequence[Term], FloatArray], FloatArray] | None = None
+    constraints: Callable[[Sequence[EffectTerm], FloatArray], FloatArray] | None = None
 
     @property
-    def without_other_recordings(self) -> Prior[Term]:
+    def without_other_recordings(self) -> Prior:
         """Prior without other recordings, which are reduced to a standard deviation for each effect."""
         others = self.other_recordings
         if others is None:
@@ -218,7 +152,7 @@ class Prior(Generic[Term]):
         """Prior standard deviation of the individual part of each alike link's error ``(n,)``."""
         return np.full(sum(len(group.members) for group in self.alike), ALIKE_PRIOR_STD)
 
-    def with_changed(self, link: int) -> Prior[Term]:
+    def with_changed(self, link: int) -> Prior:
         """Return the prior for a robot of which ``link`` has changed since the other recordings. These constrain only
         the other links: the former link is marginalised with the prior std ``prior_std``."""
         if self.other_recordings is None:
@@ -231,7 +165,7 @@ class Prior(Generic[Term]):
         rows[:, places] = 0.0
         return replace(self, other_recordings=replace(known, rows=rows), changed_link=link, cost=cost)
 
-    def value(self, term: Term) -> float:
+    def value(self, term: EffectTerm) -> float:
         """Coefficient of ``term`` in the model, 0 if it has none."""
         return float(self.values[self.terms.index(term)]) if term in self.terms else 0.0
 

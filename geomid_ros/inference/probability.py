@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic
+from typing import Any
 
 import numpy as np
 
 from geomid_ros.estimation.estimate import SIGNIFICANT_STDS
+from geomid_ros.inference.candidates import Candidate
 from geomid_ros.inference.design import Design, remembered
 from geomid_ros.inference.fit import JointFit, fit, scattered
-from geomid_ros.inference.prior import Chosen, Hypothesis, Term
 from geomid_ros.inference.selection import Selection
 from geomid_ros.types import FloatArray
 
@@ -32,7 +32,7 @@ def probability_of_square(square: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Support(Generic[Chosen]):
+class Support:
     """Evidence for a hypothesis: the ``loss`` of score without it, and its ``adjusted_loss``, that loss if rows are
     dependent; ``relative_std``, the relative standard deviation of its size due to the remainder; the ``rivals``, each
     with the loss in its place, and its ``probability`` among all of these."""
@@ -40,14 +40,14 @@ class Support(Generic[Chosen]):
     loss: float
     adjusted_loss: float
     relative_std: float
-    rivals: tuple[tuple[Chosen, float], ...]
+    rivals: tuple[tuple[Candidate, float], ...]
     probability: float
 
 
-class Supports(Generic[Chosen, Term]):
+class Supports:
     """Supports of the hypotheses of a fit that a ``selection`` ``found``."""
 
-    def __init__(self, selection: Selection[Chosen, Term], found: JointFit[Chosen, Term]) -> None:
+    def __init__(self, selection: Selection, found: JointFit) -> None:
         self.selection = selection
         self.found = found
         self._sized = scattered(selection.design, found)
@@ -57,7 +57,7 @@ class Supports(Generic[Chosen, Term]):
         for hypothesis in selection.hypotheses:
             self._groups_of_odds.setdefault(hypothesis.odds, set()).add(hypothesis.group)
 
-    def of(self, candidate: Chosen) -> Support[Chosen]:
+    def of(self, candidate: Candidate) -> Support:
         """Return the support of one hypothesis.
 
         Its absence is scored with a remainder estimated anew: what a free curve explains as well is no evidence for an
@@ -74,7 +74,7 @@ class Supports(Generic[Chosen, Term]):
             loss, worth, self.relative_std(candidate), ordered, float(posterior_probabilities([0.0, *against])[0])
         )
 
-    def _common(self, candidate: Chosen) -> float:
+    def _common(self, candidate: Candidate) -> float:
         """Twice the log factor by which hypotheses like this one are more common than their prior odds: by the Beta
         distribution of these odds, as if seen once before, and the number of others found (Scott and Berger, "Bayes and
         empirical-Bayes multiplicity adjustment in the variable-selection problem", 2010)."""
@@ -82,13 +82,13 @@ class Supports(Generic[Chosen, Term]):
         others = sum(c.group in alike for c in self.found.chosen if c.group != candidate.group)
         return 2.0 * float(np.log((1 + others) / (1.0 + candidate.odds * (len(alike) - 1 - others))))
 
-    def adjusted_loss(self, candidate: Chosen) -> float:
+    def adjusted_loss(self, candidate: Candidate) -> float:
         """Loss of score without it, if rows are dependent."""
         of_size = self._of_size(candidate)
         return min(self.loss(candidate), of_size) if of_size > 0.0 else of_size
 
     @remembered
-    def loss(self, candidate: Chosen) -> float:
+    def loss(self, candidate: Candidate) -> float:
         """Loss of score without it; each fit uses the better of two remainders, estimated with and without the
         hypothesis."""
         selection, current = self.selection, self.found
@@ -97,13 +97,13 @@ class Supports(Generic[Chosen, Term]):
         both = [fit(design, selection.prior, joint_fit.chosen, joint_fit).score for joint_fit in (rest, current)]
         return min(rest.score, both[0]) - min(current.score, both[1])
 
-    def _rivals(self, rest: JointFit[Chosen, Term], candidate: Chosen) -> list[tuple[Chosen, float]]:
+    def _rivals(self, rest: JointFit, candidate: Candidate) -> list[tuple[Candidate, float]]:
         """Return the rivals in its place with their losses. These are exact for bodies and for rivals as good as this
         one, and from the score test for others. The same with another constant, and what contains it, are no rivals.
         The gain of a rival in addition to this one is added to its loss: only its advantage in this place counts."""
         selection, current = self.selection, self.found
         additional_gains = {trial.candidate: max(trial.gain, 0.0) for trial in selection.ranked(current)}
-        losses = dict[Chosen, float]()
+        losses = dict[Candidate, float]()
         for trial in selection.ranked(rest):
             rival, loss = trial.candidate, rest.score - trial.gain - current.score
             if rival.includes(candidate) or rival.payload is not None or not np.isfinite(loss):
@@ -118,7 +118,7 @@ class Supports(Generic[Chosen, Term]):
                 losses[replacements[0]] = instead.score - current.score + additional_gains.get(replacements[0], 0.0)
         return list(losses.items())
 
-    def _of_size(self, candidate: Chosen) -> float:
+    def _of_size(self, candidate: Candidate) -> float:
         """Loss of score if its size is zero, from the size alone; for a body from mass and first moment, whose prior is
         almost flat."""
         current = self.found
@@ -134,15 +134,13 @@ class Supports(Generic[Chosen, Term]):
         return size - (price if size > SIGNIFICANT_STDS**2 else max(price, SIGNIFICANT_STDS**2))
 
     @remembered
-    def relative_std(self, candidate: Chosen) -> float:
+    def relative_std(self, candidate: Candidate) -> float:
         """Relative standard deviation of its size due to the remainder."""
         values = self.found.changes[candidate]
         return relative_std_from_remainder(self.selection.design, self.found, candidate, values)
 
 
-def relative_std_from_remainder(
-    design: Design, found: JointFit[Any, Any], columns: Hypothesis[Any] | int, values: FloatArray
-) -> float:
+def relative_std_from_remainder(design: Design, found: JointFit, columns: Candidate | int, values: FloatArray) -> float:
     """Relative standard deviation, due to the remainder of a fit, of the ``values (k,)`` of a hypothesis's or a link's
     columns: a part of the remainder may lie along them.
 
@@ -154,7 +152,7 @@ def relative_std_from_remainder(
     return error / max(float(np.sum(powers)), 1e-300)
 
 
-def separability(design: Design, found: JointFit[Any, Any], candidate: Hypothesis[Any]) -> float:
+def separability(design: Design, found: JointFit, candidate: Candidate) -> float:
     """Fraction of a hypothesis's columns, 0 to 1, that the other parameters of a fit cannot imitate within their prior
     and other recordings."""
     values, places = found.changes[candidate], _places(found, candidate)
@@ -167,7 +165,7 @@ def separability(design: Design, found: JointFit[Any, Any], candidate: Hypothesi
     return float(np.clip(information / max(float(np.sum(design.counts / found.squares * squares)), 1e-300), 0.0, 1.0))
 
 
-def _places(joint_fit: JointFit[Any, Any], candidate: Hypothesis[Any]) -> list[int]:
+def _places(joint_fit: JointFit, candidate: Candidate) -> list[int]:
     """Indices ``(k,)`` of a hypothesis's parameters."""
     if candidate.payload is None:
         return [joint_fit.place(term) for term in candidate.terms]

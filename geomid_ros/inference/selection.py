@@ -5,14 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterator, Sequence
 from itertools import combinations
-from typing import Any, Generic, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from geomid_ros.estimation.tolerances import SHORTLIST
+from geomid_ros.inference.candidates import Candidate
 from geomid_ros.inference.design import CandidateProducts, Design, remembered
 from geomid_ros.inference.fit import JointFit, fit
-from geomid_ros.inference.prior import Chosen, Prior, Term
+from geomid_ros.inference.prior import Prior
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _LEAST_EIGENVALUE = 1e-7  # columns with a smaller remaining part are a combination of the others
@@ -21,32 +22,30 @@ _EVERY = -1  # in place of a limb: affects several, or none
 _LEAST_LEFT = 1e-3  # fraction of a channel's squares that remains: bounds the promise of the quadratic model
 
 
-class ScoreTest(NamedTuple, Generic[Chosen]):
+class ScoreTest(NamedTuple):
     """Score test of a candidate: ``gain``, its improvement of a fit less its cost, and ``separability``, the fraction
     of its columns that the other parameters, within their prior, cannot imitate."""
 
-    candidate: Chosen
+    candidate: Candidate
     gain: float
     separability: float
 
 
-def score_tests(
-    design: Design, current: JointFit[Chosen, Any], candidates: Sequence[Chosen]
-) -> list[ScoreTest[Chosen]]:
+def score_tests(design: Design, current: JointFit, candidates: Sequence[Candidate]) -> list[ScoreTest]:
     """Compute by how much each candidate would improve the current fit, to second order.
 
     For fixed weights the step and the gain are those of the Gaussian model (Rao's score test); the gain is then taken
     from the sums of squares after the step. Candidates of a limb with equally many columns are tested at once.
     """
-    limbs, tests, covariance = _limbs(current), dict[int, _Test[Chosen]](), current.covariance
+    limbs, tests, covariance = _limbs(current), dict[int, _Test](), current.covariance
     limb_of_column = np.append(limbs, _EVERY)  # last: a channel with nothing but the target
     of_channel = [limb_of_column[places[0]] for places in design.gather(current.bodies, current.terms).places]
-    by_kind: dict[tuple[int, int], list[Chosen]] = {}
+    by_kind: dict[tuple[int, int], list[Candidate]] = {}
     for candidate in candidates:
         reached = {of_channel[channel] for channel in design.affected_channels(candidate)}
         limb = reached.pop() if len(reached) == 1 else _EVERY
         by_kind.setdefault((limb, len(candidate.terms)), []).append(candidate)
-    trials: dict[Chosen, ScoreTest[Chosen]] = {}
+    trials: dict[Candidate, ScoreTest] = {}
     for (limb, _), group in by_kind.items():
         if limb not in tests:
             tests[limb] = _Test(design, current, covariance, np.flatnonzero((limbs == limb) | (limb == _EVERY)))
@@ -54,7 +53,7 @@ def score_tests(
     return [trials[candidate] for candidate in candidates]
 
 
-def _limbs(current: JointFit[Any, Any]) -> IntArray:
+def _limbs(current: JointFit) -> IntArray:
     """Label of each parameter ``(D,)``: the first one that rows or priors connect it with, directly or through others.
     Limbs that share no link, such as an arm and a leg, do not inform on each other."""
     connected = current.information != 0.0
@@ -66,13 +65,11 @@ def _limbs(current: JointFit[Any, Any]) -> IntArray:
     return first
 
 
-class _Test(Generic[Chosen]):
+class _Test:
     """Data that the score tests at one fit share: G candidates of k columns, in the C channels that depend on some of D
     parameters and on no others."""
 
-    def __init__(
-        self, design: Design, current: JointFit[Chosen, Any], covariance: FloatArray, parameters: IntArray
-    ) -> None:
+    def __init__(self, design: Design, current: JointFit, covariance: FloatArray, parameters: IntArray) -> None:
         self._design = design
         self._current = current
         self._columns = np.append(parameters, len(covariance))  # with the target's
@@ -90,7 +87,7 @@ class _Test(Generic[Chosen]):
             row[places] = block @ self._vector[places]
         self._values = dict(zip(current.terms, current.point.reals.tolist(), strict=True))
 
-    def of(self, alike: Sequence[Chosen]) -> dict[Chosen, ScoreTest[Chosen]]:
+    def of(self, alike: Sequence[Candidate]) -> dict[Candidate, ScoreTest]:
         """Compute the score tests of candidates with equally many columns."""
         places = self._design.places(self._current.bodies, self._current.terms)
         products = self._design.candidate_products(
@@ -120,13 +117,13 @@ class _Test(Generic[Chosen]):
         gain -= self._log_narrowing(alike, precision, trust)
         return {c: ScoreTest(c, g, s) for c, g, s in zip(alike, gain.tolist(), separability.tolist(), strict=True)}
 
-    def _trust(self, alike: Sequence[Chosen]) -> FloatArray:
+    def _trust(self, alike: Sequence[Candidate]) -> FloatArray:
         """Prior precisions ``(G, k)`` of the candidates' coefficients; of bodies almost zero."""
         if alike[0].payload is not None:
             return np.full((len(alike), 10), 1e-12)
         return np.array([self._design.prior_stds(candidate) for candidate in alike]) ** -2.0
 
-    def _log_narrowing(self, alike: Sequence[Chosen], precision: FloatArray, trust: FloatArray) -> FloatArray:
+    def _log_narrowing(self, alike: Sequence[Candidate], precision: FloatArray, trust: FloatArray) -> FloatArray:
         """Twice the log of how much the data narrow the coefficients ``(G,)``; of bodies by a rule of thumb."""
         if alike[0].payload is not None:
             return np.full(len(alike), _DIRECTIONS_OF_BODY * np.log(np.max(self._design.counts)))
@@ -153,7 +150,7 @@ class _Test(Generic[Chosen]):
         gain += 2.0 * slopes @ weights + curvatures @ weights
         return np.asarray(gain)
 
-    def _is_impossible(self, alike: Sequence[Chosen], step: FloatArray) -> BoolArray:
+    def _is_impossible(self, alike: Sequence[Candidate], step: FloatArray) -> BoolArray:
         """True if a coefficient that cannot be negative would become so ``(G,)``."""
         impossible = np.zeros(len(alike), dtype=bool)
         for index in np.flatnonzero(np.any(step < 0.0, axis=1)).tolist():
@@ -182,37 +179,37 @@ _MOST = 40
 _PLAUSIBLE = 0.5  # fraction of a loss that the score test must promise of a rival for it to be tried
 
 
-class Selection(Generic[Chosen, Term]):
+class Selection:
     """Search over sets of ``hypotheses`` for one design, by the score of their fits: minus twice the log evidence."""
 
-    def __init__(self, design: Design, prior: Prior[Term], hypotheses: Sequence[Chosen]) -> None:
+    def __init__(self, design: Design, prior: Prior, hypotheses: Sequence[Candidate]) -> None:
         self.design = design
         self.prior = prior
         self.hypotheses = list(hypotheses)
-        self._fits: dict[frozenset[Chosen], JointFit[Chosen, Term]] = {}
+        self._fits: dict[frozenset[Candidate], JointFit] = {}
         self._groups = {hypothesis.group: hypothesis for hypothesis in self.hypotheses}
         self.known: dict[str, dict[Any, Any]] = {}
 
-    def fit(self, chosen: Collection[Chosen], start: JointFit[Chosen, Term] | None = None) -> JointFit[Chosen, Term]:
+    def fit(self, chosen: Collection[Candidate], start: JointFit | None = None) -> JointFit:
         """Return the joint fit of a set; each set is fitted once."""
         key = frozenset(chosen)
         if key not in self._fits:
             self._fits[key] = fit(self.design, self.prior, list(chosen), start)
         return self._fits[key]
 
-    def without(self, current: JointFit[Chosen, Term], *gone: Chosen) -> JointFit[Chosen, Term]:
+    def without(self, current: JointFit, *gone: Candidate) -> JointFit:
         """Return the fit without some of its hypotheses."""
         return self.fit([c for c in current.chosen if c not in gone], current)
 
     @remembered
-    def ranked(self, current: JointFit[Chosen, Term]) -> list[ScoreTest[Chosen]]:
+    def ranked(self, current: JointFit) -> list[ScoreTest]:
         """Rank the hypotheses that could join, the best of each group, by the score test."""
         return self._rank(current, self.hypotheses)
 
-    def _rank(self, current: JointFit[Chosen, Term], among: Sequence[Chosen]) -> list[ScoreTest[Chosen]]:
+    def _rank(self, current: JointFit, among: Sequence[Candidate]) -> list[ScoreTest]:
         excluded = set[Hashable]().union(*map(self._excluded_by, current.chosen))
         possible = [c for c in among if c.group not in excluded]
-        best: dict[Hashable, ScoreTest[Chosen]] = {}
+        best: dict[Hashable, ScoreTest] = {}
         for trial in score_tests(self.design, current, possible):
             group = trial.candidate.group
             if group not in best or trial.gain > best[group].gain:
@@ -220,34 +217,34 @@ class Selection(Generic[Chosen, Term]):
         return sorted(best.values(), key=lambda trial: -trial.gain)
 
     @remembered
-    def _excluded_by(self, chosen: Chosen) -> frozenset[Hashable]:
+    def _excluded_by(self, chosen: Candidate) -> frozenset[Hashable]:
         """Groups that make no sense together with a chosen hypothesis."""
         return frozenset(group for group, hypothesis in self._groups.items() if hypothesis.excludes(chosen))
 
-    def is_plausible(self, found: JointFit[Chosen, Term]) -> bool:
+    def is_plausible(self, found: JointFit) -> bool:
         """True if no coefficient has an impossible sign or size, and no body has more mass than the robot."""
         return not any(self.is_out_of_range(found, candidate) for candidate in found.chosen)
 
-    def is_out_of_range(self, found: JointFit[Chosen, Term], candidate: Chosen) -> bool:
+    def is_out_of_range(self, found: JointFit, candidate: Candidate) -> bool:
         """True if a hypothesis has an impossible sign or size."""
         if candidate.payload is not None:
             place = len(self.prior.inertias) // 10 + found.bodies.index(candidate.payload)
             return bool(found.point.pseudo_inertias[place, 3, 3] > np.sum(self.prior.inertias[::10]))
         values = np.array([found.value(term) for term in candidate.terms])
-        return bool(np.any(values[: candidate.positives] <= 0.0)) or candidate.is_out_of_range(values)
+        return bool(np.any(values[: candidate.positives] <= 0.0)) or candidate.effect.is_out_of_range(values)
 
-    def grow(self, current: JointFit[Chosen, Term], to_the_end: bool = True) -> JointFit[Chosen, Term]:
+    def grow(self, current: JointFit, to_the_end: bool = True) -> JointFit:
         """Grow and prune until nothing changes. Unless ``to_the_end``, stop when a hypothesis joins on which all
         columns depend. Hypotheses out of range are dropped first, and the search goes on."""
         current = self.prune(self.within_range(current))
         groups = {c.group for c in current.chosen}
         while (larger := self._grown(current)) is not None:
             current = self.prune(larger)
-            if not to_the_end and any(c.relinearises and c.group not in groups for c in current.chosen):
+            if not to_the_end and any(c.effect.relinearise_beyond and c.group not in groups for c in current.chosen):
                 break
         return current
 
-    def optimise(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+    def optimise(self, current: JointFit) -> JointFit:
         """Grow, and exchange hypotheses for others, until nothing changes."""
         before = np.inf
         while current.score < before - 1e-6:
@@ -255,18 +252,18 @@ class Selection(Generic[Chosen, Term]):
             current = self._exchanged(self.grow(current))
         return current
 
-    def within_range(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+    def within_range(self, current: JointFit) -> JointFit:
         """Drop the hypotheses that are out of range, one after the other."""
         while dropped := [c for c in current.chosen if self.is_out_of_range(current, c)]:
             current = min((self.without(current, c) for c in dropped), key=lambda joint_fit: joint_fit.score)
         return current
 
-    def _grown(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term] | None:
+    def _grown(self, current: JointFit) -> JointFit | None:
         """Return the best set with one more hypothesis, or None if none improves the score. The first choice of the
         score test is compared only with those that share a channel with it: the others have their turn later."""
         if len(current.chosen) >= _MOST:
             return None
-        best: JointFit[Chosen, Term] | None = None
+        best: JointFit | None = None
         reached = frozenset[int]()
         for trial in self._promising(current, 0.0):
             channels = frozenset(self.design.affected_channels(trial.candidate))
@@ -279,26 +276,24 @@ class Selection(Generic[Chosen, Term]):
                 best, reached = larger, channels
         return best
 
-    def _promising(
-        self, current: JointFit[Chosen, Term], least: float, instead_of: Chosen | None = None
-    ) -> list[ScoreTest[Chosen]]:
+    def _promising(self, current: JointFit, least: float, instead_of: Candidate | None = None) -> list[ScoreTest]:
         """Return the hypotheses that are worth an exact fit, best first: those that the score test prefers, and bodies,
         each with a gain above ``least``."""
         trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload is None]
         trials = [t for t in trials if instead_of is None or t.candidate is not instead_of][:SHORTLIST]
-        if not current.bodies and (instead_of is None or instead_of.confusable_with_payload):
+        if not current.bodies and (instead_of is None or instead_of.effect.confusable_with_payload):
             trials += [t for t in self._promising_bodies(current) if t.gain > least and t.candidate is not instead_of]
         return sorted(trials, key=lambda trial: -trial.gain)
 
     @remembered
-    def _promising_bodies(self, current: JointFit[Chosen, Term]) -> list[ScoreTest[Chosen]]:
+    def _promising_bodies(self, current: JointFit) -> list[ScoreTest]:
         """Return the bodies that are worth an exact fit. At the fit itself the score test underrates them: nearly free
         inertias, which the body made wrong, imitate it. So the test uses the inertias' default prior std."""
         firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_prior_stds)
         trials = self._rank(firm, [c for c in self.hypotheses if c.payload is not None])
         return [trial for trial in trials if trial.gain > 0.0][:SHORTLIST]
 
-    def prune(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+    def prune(self, current: JointFit) -> JointFit:
         """Drop the hypotheses that are not worth their cost, the worst first, and pairs that support each other."""
         while smaller := min(self._smaller(current), key=lambda joint_fit: joint_fit.score, default=None):
             if smaller.score > current.score:
@@ -306,14 +301,14 @@ class Selection(Generic[Chosen, Term]):
             current = smaller
         return current
 
-    def _smaller(self, current: JointFit[Chosen, Term]) -> Iterator[JointFit[Chosen, Term]]:
+    def _smaller(self, current: JointFit) -> Iterator[JointFit]:
         sets = [(c,) for c in current.chosen]
         pairs = [pair for pair in combinations(current.chosen, 2) if self._overlap(*pair)]
         for dropped in (*sets, *pairs):
             if self.estimated_loss(current, dropped) < KEPT_PROMISE * self._price(current, dropped):
                 yield self.without(current, *dropped)
 
-    def _price(self, current: JointFit[Chosen, Term], dropped: Sequence[Chosen]) -> float:
+    def _price(self, current: JointFit, dropped: Sequence[Candidate]) -> float:
         """Cost of some hypotheses, as minus twice a logarithm: from their prior odds, and how much the data narrow
         their coefficients; infinite with a body among them, for which that is not known."""
         if any(c.payload is not None for c in dropped):
@@ -323,12 +318,12 @@ class Selection(Generic[Chosen, Term]):
         log_narrowing = np.linalg.slogdet(covariance * np.outer(roots, roots))[1]
         return sum(c.cost for c in dropped) - float(log_narrowing)
 
-    def _overlap(self, first: Chosen, second: Chosen) -> bool:
+    def _overlap(self, first: Candidate, second: Candidate) -> bool:
         """True if two affect exactly the same channels."""
         reached = [self.design.affected_channels(c) for c in (first, second)]
         return reached[0] == reached[1]
 
-    def estimated_loss(self, current: JointFit[Chosen, Term], gone: Sequence[Chosen]) -> float:
+    def estimated_loss(self, current: JointFit, gone: Sequence[Candidate]) -> float:
         """Second-order estimate of the loss of score without some hypotheses, their costs excluded; 0 with a body among
         them, whose loss is far from quadratic."""
         if any(c.payload is not None for c in gone):
@@ -339,7 +334,7 @@ class Selection(Generic[Chosen, Term]):
         count = float(np.max(self.design.counts))
         return count * float(np.log1p(max(squared, 0.0) / count))
 
-    def rivals(self, current: JointFit[Chosen, Term], candidate: Chosen) -> list[JointFit[Chosen, Term]]:
+    def rivals(self, current: JointFit, candidate: Candidate) -> list[JointFit]:
         """Return the best sets with another hypothesis instead of one, best first; maybe the same with another
         constant."""
         rest = self.without(current, candidate)
@@ -349,9 +344,7 @@ class Selection(Generic[Chosen, Term]):
         fits += self._with_other_constants(current, candidate)
         return sorted((f for f in fits if self.is_plausible(f)), key=lambda joint_fit: joint_fit.score)
 
-    def _with_other_constants(
-        self, current: JointFit[Chosen, Term], candidate: Chosen
-    ) -> Iterator[JointFit[Chosen, Term]]:
+    def _with_other_constants(self, current: JointFit, candidate: Candidate) -> Iterator[JointFit]:
         """Yield sets in which another hypothesis replaces one, and a third one in the same channels has the constants
         that suit the other: its present constants were chosen together with the replaced one, and favour it."""
         overlapping = [h for h in self.hypotheses if self._overlap(h, candidate)]
@@ -361,7 +354,7 @@ class Selection(Generic[Chosen, Term]):
                 continue
             rest, groups = self.without(current, candidate, neighbour), {candidate.group, neighbour.group}
             others = [h for h in overlapping if h.group not in groups]
-            trials = list[tuple[float, JointFit[Chosen, Term], Chosen]]()
+            trials = list[tuple[float, JointFit, Candidate]]()
             for other in [t.candidate for t in self._rank(rest, others) if t.gain > 0.0][:SHORTLIST]:
                 larger = self.fit([*rest.chosen, other], rest)
                 trials += [(larger.score - t.gain, larger, t.candidate) for t in self._rank(larger, variants)]
@@ -369,16 +362,16 @@ class Selection(Generic[Chosen, Term]):
                 _, larger, best = min(trials, key=lambda scored: scored[0])
                 yield self.fit([*larger.chosen, best], larger)
 
-    def _rescaled(self, current: JointFit[Chosen, Term], candidate: Chosen) -> JointFit[Chosen, Term] | None:
+    def _rescaled(self, current: JointFit, candidate: Candidate) -> JointFit | None:
         """Return the set in which factors at all channels replace a body; None for anything else. A common change of
         all factors looks like a heavier body, except in friction and inertia."""
-        factors = [c for c in self.hypotheses if c.rescales]
+        factors = [c for c in self.hypotheses if c.effect.scales_measurement]
         if candidate.payload is None or not factors:
             return None
         kept = [c for c in current.chosen if c is not candidate and c not in factors]
         return self.fit([*kept, *factors], current)
 
-    def _exchanged(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+    def _exchanged(self, current: JointFit) -> JointFit:
         """Exchange hypotheses for others where that improves the score."""
         for candidate in current.chosen:
             if candidate in current.chosen:

@@ -40,7 +40,7 @@ from geomid_ros.files.models.gap_file import OpenFinding, read_open_findings
 from geomid_ros.files.models.posterior import posterior_path, read_posterior
 from geomid_ros.files.parameter_file import read_joint_limits
 from geomid_ros.files.shapes import SUFFIXES, ShapeReader, read_mesh
-from geomid_ros.gap.candidates import Candidate
+from geomid_ros.inference.candidates import Candidate
 from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.collision import CollisionModel, ConvexShape, HalfSpace, Obstacle, Pair
 from geomid_ros.model.effects import OnLink, effect_class

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from geomid_ros.gap.candidates import Candidate, EffectTerm
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.effects import EFFECTS, AtJoint, Effect, OnLink

@@ -11,10 +11,10 @@ from scipy.signal import lfilter
 from geomid_ros.gap import analysis
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import _ends, _identifiable
-from geomid_ros.gap.candidates import Candidate, EffectsPrior, EffectTerm
 from geomid_ros.gap.noise import Autoregression
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.inference.fit import fit
-from geomid_ros.inference.prior import OtherRecordings
+from geomid_ros.inference.prior import OtherRecordings, Prior
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import AtJoint, AtJoints, OnLink, OnRobot, Place
 from geomid_ros.types import BoolArray, FloatArray
@@ -78,7 +78,7 @@ def test_a_link_that_is_lighter_now_carries_nothing_whatever_else_makes_a_payloa
     identified = replace(PRIOR, prior_std=0.05, certainty=100.0, identified=True, other_recordings=known)
     design = Recording(7, [PAYLOAD, VISCOUS]).design({TERM: 0.5}, 0.7 * LINK)
 
-    def searched(prior: EffectsPrior, *found: Candidate) -> analysis._Round:
+    def searched(prior: Prior, *found: Candidate) -> analysis._Round:
         search = Selection(design, prior, [PAYLOAD, VISCOUS])
         unused: Any = None
         return analysis._Round(unused, unused, search, search.fit(found))

@@ -9,7 +9,7 @@ from model.robots import urdf
 
 from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import Candidate, EffectTerm
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.model.effects import (
     DEFAULT_EFFECTS,
     EFFECTS,

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.features import Features
 from geomid_ros.gap.linearised_problem import LinearisedProblem, design_of
 from geomid_ros.gap.noise import Autoregression
 from geomid_ros.gap.records import TotalModel
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import AtJoint, AtSensor, OnLink
 from geomid_ros.model.effects.friction import ViscousFriction

@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.noise import Autoregression
 from geomid_ros.gap.records import FEWEST_ROWS, Records
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.inference.candidates import EffectTerm
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.effects import AtJoint, Effect, OnRobot, identified_effect

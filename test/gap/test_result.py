@@ -10,10 +10,10 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.gap import workflow
-from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.records import Records
 from geomid_ros.gap.result import GapResult, Rival
 from geomid_ros.gap.workflow import CUTOFF, find_gap, residual_rms
+from geomid_ros.inference.candidates import EffectTerm
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
 from geomid_ros.model.effects.friction import ViscousFriction

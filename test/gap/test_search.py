@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from geomid_ros.gap.candidates import Candidate, EffectsFit, EffectTerm
 from geomid_ros.inference import selection
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit
 from geomid_ros.inference.prior import Prior
@@ -31,14 +31,14 @@ def search(
     seed: int = 0,
     among: Sequence[Candidate] = CANDIDATES,
     alike: Mapping[EffectTerm, EffectTerm] | None = None,
-) -> Selection[Candidate, EffectTerm]:
+) -> Selection:
     """Of a robot with these coefficients of names."""
     recording = Recording(seed, among, alike)
     values = {t: v for c, all_of in (planted or {}).items() for t, v in zip(c.terms, all_of, strict=True)}
     return Selection(recording.design(values), PRIOR, among)
 
 
-def names(found: EffectsFit | None) -> set[Candidate]:
+def names(found: JointFit | None) -> set[Candidate]:
     assert found is not None
     return set(found.chosen)
 

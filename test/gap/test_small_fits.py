@@ -11,10 +11,11 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective
-from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, parameters, passivity_constraints
+from geomid_ros.gap.candidates import CLEARLY, parameters, passivity_constraints
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.inference import prior as before
+from geomid_ros.inference.candidates import Candidate, EffectTerm
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit, fit_of_prior, scattered
 from geomid_ros.inference.prior import GAIN, OtherRecordings
@@ -35,7 +36,7 @@ TERM = VISCOUS.terms[0]
 STEP = 1e-5
 
 
-def score_test(design: Design, current: JointFit[Candidate, EffectTerm], candidate: Candidate) -> ScoreTest[Candidate]:
+def score_test(design: Design, current: JointFit, candidate: Candidate) -> ScoreTest:
     (trial,) = score_tests(design, current, [candidate])
     return trial
 

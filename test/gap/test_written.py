@@ -12,13 +12,13 @@ import pytest
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import confirmed_changes as written_module
 from geomid_ros.gap import result as result_module
-from geomid_ros.gap.candidates import Candidate, EffectsFit
 from geomid_ros.gap.records import Records
 from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.geometry.spd import Packed
+from geomid_ros.inference.candidates import Candidate
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, Quantity, effect_class
@@ -85,7 +85,7 @@ def test_a_link_that_leaves_its_prior_keeps_a_mass_that_no_effort_tells() -> Non
 
 
 def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsure(_: Design, fit: EffectsFit) -> EffectsFit:
+    def unsure(_: Design, fit: JointFit) -> JointFit:
         return replace(fit, packed=Packed.of(1e-6 * fit.information))
 
     monkeypatch.setattr(written_module, "scattered", unsure)
@@ -124,7 +124,7 @@ def test_a_moment_that_is_known_without_its_mass_stays_known() -> None:
     """Whatever the size of the payload in the fit that takes over what another one knows; nor is it known better."""
     covariance = 1e-8 * np.eye(10) + np.diag([0.2, *np.zeros(9)])
 
-    def fitted(mass: float, height: float, information: float) -> EffectsFit:
+    def fitted(mass: float, height: float, information: float) -> JointFit:
         body = np.array([mass, 0.01, 0.02, mass * height, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1])
         point = ONE_BODY.point(body)
         jacobian = ONE_BODY.jacobian(point)[0][0]
