@@ -167,7 +167,7 @@ def estimate(
         found = fits.solved(_kept_columns(model, start), start=start)
     result = _estimate(found, whole)
     # A link that left its prior may have become heavy only to move its centre of mass; held, its neighbour may.
-    while new := dict(_uncontradicted_masses(result, found.minimum.fitted)):
+    while new := dict(_uncontradicted_masses(result, found.fitted)):
         fits = replace(fits, whole=replace(whole, masses_held={**new, **fits.whole.masses_held}))
         end = Choice(found.columns, result.parameters, result.prior_stds)
         found = fits.solved(found.columns, alternative=end)
@@ -185,22 +185,11 @@ def estimate(
         masses = _masses(result) if lacks_like_mass else None
         own = _significant(partial(own_fits.solved, weights=found.weights, masses=masses), held, about_zero)
         parameters = np.zeros(model.dimension)
-        parameters[own.columns] = file_fit(own.minimum.fitted, found.minimum.fitted)
+        parameters[own.columns] = file_fit(own.fitted, found.fitted)
         return parameters
 
     within = fit_files(model, found.columns, settings.files, unsure, fits.among, of_file)
     return replace(result, within=within, seconds=time.perf_counter() - begin)
-
-
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """A fit of the ``columns`` of a problem: its ``minimum``, and ``weights`` of the blocks of a coupled prior with
-    ``notes`` on these."""
-
-    columns: IntArray
-    minimum: _Minimum
-    weights: Mapping[str, float] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,11 +228,11 @@ class _Fits:
             solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), prior_stds=start.spreads)
         elif alternative is not None and alternative.parameters is not None:
             solve = with_second_start(solve, problem.point_at(alternative.parameters[columns]), alternative.prior_stds)
-        minimum = partial(_minimum, settings=self.settings, columns=columns, whole=self.whole)
         if prior is None:
-            return _Solved(columns, minimum(solve(problem)))
+            return _solved(solve(problem), self.settings, columns, self.whole)
         found, weights = fit_with_coupled_prior(prior, solve, weights)
-        return _Solved(columns, minimum(found), weights, tuple(prior.release_warnings(weights)))
+        end = _solved(found, self.settings, columns, self.whole)
+        return replace(end, weights=weights, notes=tuple(prior.release_warnings(weights)))
 
 
 def _uncontradicted_masses(found: Estimate, fitted: Fit) -> Iterator[tuple[int, float]]:
@@ -317,9 +306,9 @@ def _optional(model: MeasurementModel) -> set[Mechanism]:
 def _insignificant(solved: _Solved, among: Collection[Mechanism]) -> dict[int, float]:
     """Columns of those ``among`` the effects that are not significant, with their sizes in standard deviations, at most
     the sizes of the effects that they need: zero if one of these is left out."""
-    problem = solved.minimum.fitted.problem
+    problem = solved.fitted.problem
     coefficients = problem.model.coefficients
-    sizes = [_size(c, effect) for c, effect in zip(coefficients, solved.minimum.effects, strict=True)]
+    sizes = [_size(c, effect) for c, effect in zip(coefficients, solved.effects, strict=True)]
     by_effect: dict[tuple[Place, Effect], float] = {
         (c.place, c.effect): size for c, size in zip(coefficients, sizes, strict=True)
     }
@@ -363,11 +352,13 @@ def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Minimum:
-    """End of a solve: the fit, the minimum of the chosen objective, how many rows that one leaves out, the errors of
-    the parameters if the constants of effects are exact, the steps of these constants' grids, and the effects with the
-    errors of both. ``errors_for`` returns the former for other standard deviations ``(D,)`` of the prior's error."""
+class _Solved:
+    """End of a solve for the ``columns`` of a problem: the fit, the minimum of the chosen objective, how many rows that
+    one leaves out, the errors of the parameters if the constants of effects are exact, the steps of these constants'
+    grids, and the effects with the errors of both. ``errors_for`` returns the former for other standard deviations
+    ``(D,)`` of the prior's error. ``weights``: of the blocks of a coupled prior, with ``notes`` on these."""
 
+    columns: IntArray
     fitted: Fit
     solution: Solution
     set_aside: int
@@ -375,6 +366,8 @@ class _Minimum:
     grid_steps: uncertainty.GridSteps
     effects: tuple[EffectEstimate, ...]
     errors_for: Callable[[FloatArray], uncertainty.Uncertainty]
+    weights: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def link_errors(self) -> uncertainty.Uncertainty:
@@ -397,7 +390,7 @@ class _Minimum:
         return self.errors_for(wider)
 
 
-def _minimum(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole: Problem) -> _Minimum:
+def _solved(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole: Problem) -> _Solved:
     """Return the minimum that a fit of the ``columns`` of the ``whole`` problem leads to, and its errors."""
     problem, solution = fitted.problem, fitted.solution
     manifold, summary, known = problem.manifold, problem.summary, problem.known
@@ -434,7 +427,8 @@ def _minimum(fitted: Fit, settings: EstimatorSettings, columns: IntArray, whole:
         return errors.with_unknown_scale(errors.response @ scale)
 
     errors, steps = errors_for(assumed), _grid_steps(columns, whole, fitted, solution.point)
-    return _Minimum(
+    return _Solved(
+        columns=columns,
         fitted=fitted,
         solution=solution,
         set_aside=set_aside,
@@ -453,15 +447,14 @@ def _common_scale(point: Point, relative: float) -> FloatArray:
 
 def _estimate(found: _Solved, whole: Problem) -> Estimate:
     """Assemble the estimate from a fit of the ``whole`` problem."""
-    columns, minimum = found.columns, found.minimum
-    fitted, solution = minimum.fitted, minimum.solution
+    columns, fitted, solution = found.columns, found.fitted, found.solution
     problem, point = fitted.problem, solution.point
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
-    steps = minimum.grid_steps
-    errors = minimum.errors.with_unknown_constants(steps)
+    steps = found.grid_steps
+    errors = found.errors.with_unknown_constants(steps)
     link_errors, effect_errors = (
-        minimum.stated_errors(stds).with_unknown_constants(steps)
-        for stds in (minimum.link_prior_stds, fitted.assumed_prior_stds)
+        found.stated_errors(stds).with_unknown_constants(steps)
+        for stds in (found.link_prior_stds, fitted.assumed_prior_stds)
     )
     gains = fit_drive_gains(fitted, point, errors)
     parameters, beside_gains = np.zeros((2, whole.model.dimension))
@@ -477,7 +470,7 @@ def _estimate(found: _Solved, whole: Problem) -> Estimate:
         steps=solution.steps,
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
-        rows_set_aside=minimum.set_aside,
+        rows_set_aside=found.set_aside,
         links=estimate_parts.links(
             problem, point, link_errors, _outliers(fitted), _stds_of_far_links(fitted, point, information, link_errors)
         ),
@@ -490,7 +483,7 @@ def _estimate(found: _Solved, whole: Problem) -> Estimate:
         rms_nominal=frozen(whole.summary.rms(whole.model.described_parameters)),
         rms=frozen(summary.with_drive_gains(predictor.drive_gains, manifold.inertial.stop).rms(gains.point.parameters)),
         information=information,
-        posterior=estimate_parts.posterior(problem, point, minimum.link_errors),
+        posterior=estimate_parts.posterior(problem, point, found.link_errors),
         rows=frozen(factor * fitted.rows[0]),
         targets=frozen(factor * fitted.rows[1]),
         known=estimate_parts.weighed(problem, point, errors),

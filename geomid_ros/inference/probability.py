@@ -33,12 +33,11 @@ def probability_of_square(square: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """Evidence for a hypothesis: the ``loss`` of score without it, and its ``adjusted_loss``, that loss if rows are
-    dependent; ``relative_std``, the relative standard deviation of its size due to the remainder; the ``rivals``, each
-    with the loss in its place, and its ``probability`` among all of these."""
+    """Evidence for a hypothesis: the ``loss`` of score without it; ``relative_std``, the relative standard deviation of
+    its size due to the remainder; the ``rivals``, each with the loss in its place, and its ``probability`` among all of
+    these."""
 
     loss: float
-    adjusted_loss: float
     relative_std: float
     rivals: tuple[tuple[Candidate, float], ...]
     probability: float
@@ -70,9 +69,7 @@ class Supports:
         kept = max(worth, 0.0) / loss if loss > 0.0 else 1.0
         against = [worth + common, *(kept * worse + common - self._common(rival) for rival, worse in rivals)]
         ordered = tuple(sorted(rivals, key=lambda rival: rival[1]))
-        return Support(
-            loss, worth, self.relative_std(candidate), ordered, float(posterior_probabilities([0.0, *against])[0])
-        )
+        return Support(loss, self.relative_std(candidate), ordered, float(posterior_probabilities([0.0, *against])[0]))
 
     def _common(self, candidate: Candidate) -> float:
         """Twice the log factor by which hypotheses like this one are more common than their prior odds: by the Beta

@@ -118,12 +118,12 @@ def test_how_common_names_are_counts_beside_what_one_is_worth() -> None:
         sizes = {c.terms[0]: 0.3 if c is not tried[0] else 0.03 for c in tried[:count]}
         selection = Selection(Recording(4, tried).design(sizes), PRIOR, tried)
         each = Supports(selection, selection.fit(tried[:count]))
-        support, common = each.of(tried[0]), each._common(tried[0])
-        assert 4.0 < support.adjusted_loss < 30.0
-        assert not [loss for _, loss in support.rivals if loss < support.adjusted_loss + 20.0]
+        support, worth, common = each.of(tried[0]), each.adjusted_loss(tried[0]), each._common(tried[0])
+        assert 4.0 < worth < 30.0
+        assert not [loss for _, loss in support.rivals if loss < worth + 20.0]
         assert -2.0 < common < 5.0
         odds = support.probability / (1.0 - support.probability)
-        assert 2.0 * np.log(odds) == pytest.approx(support.adjusted_loss + common, abs=0.1)
+        assert 2.0 * np.log(odds) == pytest.approx(worth + common, abs=0.1)
 
 
 def test_a_drawing_s_inner_link_may_be_wrong_as_well_as_loaded() -> None:
