@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -33,7 +33,6 @@ from geomid_ros.types import FloatArray
 
 CLEARLY = 12.0
 """Difference of minus twice a logarithm that occurs by chance once in four hundred."""
-_EXACT = 1e-5  # standard deviation of a sum fixed at zero, relative to the friction: far less than that of any rows
 
 
 EffectsByPlace: TypeAlias = Mapping[tuple[str, Place], IdentifiedEffect]
@@ -80,30 +79,6 @@ def candidates(
     if model.legs:
         result = [c for c in result if isinstance(c.effect, LoadEffect) or not isinstance(c.effect, SituationEffect)]
     return sorted(result, key=_order)
-
-
-def passivity_constraints(terms: Sequence[EffectTerm], values: FloatArray) -> FloatArray:
-    """Return passivity constraints that fix a place's sum of dry friction at zero where it is negative.
-
-    Dry friction does not drive a joint, close to standstill either. Rows near a reversal constrain it weakly, and
-    depend on the past: their extrapolation to standstill can have the wrong sign. It makes a simulator shake.
-
-    Args:
-        terms: terms of the coefficients.
-        values: the coefficients ``(k,)``; zero for those that are left out.
-
-    Returns:
-        Rows ``(r, k)`` of target 0 and standard deviation 1; r is 0 if the friction of all places is passive.
-    """
-    places: dict[Place, list[int]] = {}
-    for index, term in enumerate(terms):
-        if term.effect.is_dry_friction and values[index]:
-            places.setdefault(term.place, []).append(index)
-    driven = [indices for indices in places.values() if len(indices) > 1 and np.sum(values[indices]) < 0.0]
-    rows = np.zeros((len(driven), len(values)))
-    for row, indices in zip(rows, driven, strict=True):
-        row[indices] = 1.0 / (_EXACT * np.max(np.abs(values[indices])))
-    return rows
 
 
 def _order(candidate: Candidate) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.starting_point import DEFAULT_PRIOR_STD
 from geomid_ros.gap.analysis import analyse, known_remainder
-from geomid_ros.gap.candidates import EffectsByPlace, passivity_constraints
+from geomid_ros.gap.candidates import EffectsByPlace
 from geomid_ros.gap.confirmed_changes import confirmed_changes, folded
 from geomid_ros.gap.features import KnownRemainder
 from geomid_ros.gap.linearised_problem import LinearisedProblem, root_mean_square, total_model
@@ -252,7 +252,6 @@ def _prior(
         certainty=_CERTAINTY_OF_IDENTIFIED if identified else CERTAINTY,
         identified=identified,
         other_recordings=known if identified else None,
-        constraints=passivity_constraints,
     )
 
 

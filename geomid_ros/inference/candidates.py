@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +17,7 @@ ODDS = 0.01
 its joints are as likely as not."""
 _FRACTION = 0.3  # prior standard deviation of a coefficient, of the measurement, where nothing else is known of it
 _OF_COUPLED = 0.05  # fraction of the odds, for coupled joints: most joints have separate motors
+_EXACT = 1e-5  # standard deviation of a sum fixed at zero, relative to the friction: far less than that of any rows
 
 
 @dataclass(frozen=True)
@@ -126,3 +127,27 @@ def _terms(effect: Effect, place: Place) -> Iterator[EffectTerm]:
     for part in effect.parts:
         count = len(place.channels) if isinstance(place, AtSensor) else part.count
         yield from (EffectTerm(part, place, index) for index in range(count))
+
+
+def passivity_constraints(terms: Sequence[EffectTerm], values: FloatArray) -> FloatArray:
+    """Return passivity constraints that fix a place's sum of dry friction at zero where it is negative.
+
+    Dry friction does not drive a joint, close to standstill either. Rows near a reversal constrain it weakly, and
+    depend on the past: their extrapolation to standstill can have the wrong sign. It makes a simulator shake.
+
+    Args:
+        terms: terms of the coefficients.
+        values: the coefficients ``(k,)``; zero for those that are left out.
+
+    Returns:
+        Rows ``(r, k)`` of target 0 and standard deviation 1; r is 0 if the friction of all places is passive.
+    """
+    places: dict[Place, list[int]] = {}
+    for index, term in enumerate(terms):
+        if term.effect.is_dry_friction and values[index]:
+            places.setdefault(term.place, []).append(index)
+    driven = [indices for indices in places.values() if len(indices) > 1 and np.sum(values[indices]) < 0.0]
+    rows = np.zeros((len(driven), len(values)))
+    for row, indices in zip(rows, driven, strict=True):
+        row[indices] = 1.0 / (_EXACT * np.max(np.abs(values[indices])))
+    return rows

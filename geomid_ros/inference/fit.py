@@ -23,7 +23,7 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.spd import Packed
 from geomid_ros.inference import prior as priors
-from geomid_ros.inference.candidates import Candidate, EffectTerm
+from geomid_ros.inference.candidates import Candidate, EffectTerm, passivity_constraints
 from geomid_ros.inference.design import BLOCKS, Design, RemainderFit
 from geomid_ros.inference.prior import Prior
 from geomid_ros.types import FloatArray
@@ -188,11 +188,11 @@ def _fit(
     prior_std: float | FloatArray | None = None,
     inflation: float = 1.0,
 ) -> JointFit:
-    """Return the minimum reached from the start, with the prior's constraints at zero. The search begins with this
+    """Return the minimum reached from the start, in which dry friction drives no joint. The search begins with this
     ``inflation`` of the other recordings."""
     free = _free_fit(design, prior, chosen, start, prior_std, inflation)
-    rows = None if prior.constraints is None else prior.constraints(free.terms, free.point.reals)
-    if rows is None or not len(rows):
+    rows = passivity_constraints(free.terms, free.point.reals)
+    if not len(rows):
         return free
     return _free_fit(design, prior, chosen, free, prior_std, free.inflation, constraints=rows)
 

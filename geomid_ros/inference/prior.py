@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -105,7 +105,6 @@ class Prior:
         cost: minus twice the log of the factor that this change puts on the likelihood of the other recordings.
         alike: groups of links that have most of their errors in common.
         masses_held: indices of the links that may leave their prior, but not with their mass.
-        constraints: gives rows ``(r, k)`` that fix combinations of coefficients at zero, from terms and values, if any.
     """
 
     inertias: FloatArray
@@ -120,7 +119,6 @@ class Prior:
     cost: float = 0.0
     alike: Sequence[AlikeParts] = ()
     masses_held: Sequence[int] = ()
-    constraints: Callable[[Sequence[EffectTerm], FloatArray], FloatArray] | None = None
 
     @property
     def without_other_recordings(self) -> Prior:

@@ -199,10 +199,9 @@ def test_a_mass_that_nothing_contradicts_is_near_the_urdf_and_no_surer_for_that(
         assert abs(link.mass - mass) < 4.0 * link.std_mass
     warm = identifier(case).solve(WarmStart(held.parameters, held.rows_accepted, held.prior_stds))
     np.testing.assert_allclose([link.mass for link in warm.links], [link.mass for link in held.links], rtol=1e-4)
-    monkeypatch.setattr(estimator, "_uncontradicted_masses", lambda *_: iter(()))
-    free = solved(case)
-    driven = np.abs(np.log([link.mass for link in free.links] / links[:, 0]))
     if cogging:
+        monkeypatch.setattr(estimator, "_uncontradicted_masses", lambda *_: iter(()))
+        driven = np.abs(np.log([link.mass for link in solved(case).links] / links[:, 0]))
         assert np.max(off) < 0.6 * np.max(driven)
 
 

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective
-from geomid_ros.gap.candidates import CLEARLY, parameters, passivity_constraints
+from geomid_ros.gap.candidates import CLEARLY, parameters
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.inference import prior as before
@@ -419,7 +419,7 @@ def test_known_dry_friction_drives_no_joint(excess: float, known: str | None) ->
     recording = Recording(4, [stribeck, VISCOUS])
     design = recording.design({level: 1.0, own: excess})
     others = OtherRecordings(np.random.default_rng(1).normal(scale=3.0, size=(8, 10)), np.zeros(8)) if known else None
-    wide = replace(PRIOR, other_recordings=others, constraints=passivity_constraints)
+    wide = replace(PRIOR, other_recordings=others)
     found = fit(design, replace(wide, terms=(level, own), values=np.ones(2), prior_stds=np.full(2, 1e3)), [])
     if excess > -1.0:
         assert found.value(own) == pytest.approx(excess, abs=0.05)
