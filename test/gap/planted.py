@@ -83,7 +83,7 @@ def rigid(inertias: FloatArray, gravity: FloatArray | None = None) -> Efforts:
 def recording(
     efforts: Efforts,
     seed: int,
-    seconds: float = 25.0,
+    seconds: float = 18.0,
     noise: FloatArray | float = NOISE,
     pace: float = 1.0,
     size: FloatArray | float = 1.0,

@@ -49,7 +49,7 @@ def nominal(**coefficients: float) -> FloatArray:
 
 
 BESIDE = KnownEffect("load_friction", JOINTS[2], "", {"coefficient": Quantity(0.9 * LOAD, 0.01, "-")})
-TRAIN, UNSEEN = planted.recording(efforts, SEED), planted.recording(efforts, SEED + 1000, 15.0)
+TRAIN, UNSEEN = planted.recording(efforts, SEED, 25.0), planted.recording(efforts, SEED + 1000, 15.0)
 PROGRESS: list[tuple[str, float]] = []
 
 
