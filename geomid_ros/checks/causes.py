@@ -61,6 +61,8 @@ _SENTENCES = {
     "require a change of {asked:.3g}: it is not measured there; leave that part out",
     "frozen": "the position of joint {joints} is frozen for {share:.0%} of the time, but the efforts do not match a "
     "constant pose: check the encoder, and whether the driver repeats an old value. Leave that part out",
+    "noise": "accelerations are noisy, as positions are: at {joints} inertial efforts come out up to {share:.0%} too "
+    "small. Halve the cutoff of the low-pass (--cutoff, filter.cutoff), or record a faster motion",
     "lengths": "in the URDF {what}: {quantity} may be in {unit}; they must be in {right}",
 }
 """Sentence of each kind, or of a special case."""

@@ -1,5 +1,5 @@
-"""Faults that need no comparison of hypotheses: impossible descriptions, channels that repeat one value for a while,
-and efforts of other gains than the given ones."""
+"""Faults that need no comparison of hypotheses: impossible descriptions, noisy accelerations, channels that repeat one
+value for a while, and efforts of other gains than the given ones."""
 
 from __future__ import annotations
 
@@ -118,6 +118,25 @@ def _step(levels: FloatArray) -> float:
     """Least difference between levels at which a channel stays, if only briefly: the step of a quantised channel."""
     gaps = np.diff(np.sort(levels))
     return float(np.min(gaps[gaps > 2.0 * _SAME * np.ptp(levels)], initial=np.inf)) if np.any(gaps > 0.0) else 0.0
+
+
+def noisy_accelerations(subject: EffortData) -> Iterator[Cause]:
+    """Yield the joints at which noise of the accelerations spoils inertias: a fit makes inertial efforts smaller by the
+    noise's share of their square (Fuller, "Measurement error models", 1987, section 1.1)."""
+    samples, weightless = subject.samples, subject.under_gravity(np.zeros(3))
+    if not samples.acceleration_noise.size:
+        return
+
+    def mean_square(acceleration: FloatArray) -> FloatArray:
+        moved = replace(samples, velocity=np.zeros_like(acceleration), acceleration=acceleration)
+        return np.asarray(np.mean(weightless.with_samples(moved).predicted ** 2, axis=0))
+
+    square = mean_square(samples.acceleration)
+    lost = mean_square(samples.acceleration_noise) / np.where(square > 0.0, square, np.inf)
+    visible = lost * np.minimum(np.sqrt(square), subject.measured_std) > LEAST_SIGMA * subject.measured_std
+    if np.any(visible):
+        names = [name for name, is_visible in zip(subject.names, visible, strict=True) if is_visible]
+        yield Cause.of("noise", names, share=min(float(np.max(lost[visible])), 1.0))
 
 
 def frozen_position(subject: EffortData) -> Iterator[Cause]:

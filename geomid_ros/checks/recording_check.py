@@ -13,7 +13,13 @@ import numpy as np
 from geomid_ros.checks.candidates import CandidateTest, FaultDecision, contradicted, decide
 from geomid_ros.checks.causes import MODEL, NOT_CHECKED, Cause, RecordingFault, as_faults
 from geomid_ros.checks.changes import changes, lags
-from geomid_ros.checks.definite_faults import frozen_position, held_efforts, impossible_description, wrong_gains
+from geomid_ros.checks.definite_faults import (
+    frozen_position,
+    held_efforts,
+    impossible_description,
+    noisy_accelerations,
+    wrong_gains,
+)
 from geomid_ros.checks.effort_data import EffortData, is_changing, is_measured
 from geomid_ros.checks.evidence import LARGEST_RESIDUAL, LEAST_SIGMA, MOST
 from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet, reversed_efforts, unnamed_feet
@@ -195,7 +201,7 @@ def check_efforts(model: MeasurementModel, kept: KeptSamples, gains: FloatArray,
 
 def _judged(subject: EffortData, continuous: bool) -> CheckResult:
     """Check efforts that change."""
-    plain = next(chain(impossible_description(subject), frozen_position(subject)), None)
+    plain = next(chain(impossible_description(subject), noisy_accelerations(subject), frozen_position(subject)), None)
     if plain is not None:
         return CheckResult(as_faults([plain]))
     remarks: tuple[str, ...] = (MODEL,) if is_model(subject) else ()

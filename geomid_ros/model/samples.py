@@ -168,6 +168,7 @@ class Samples:
     ``standing (N, feet)``: True where a foot may touch the ground; no columns: no foot does.
     ``commands (N, 4, joints)``: set-points of position and velocity, feed-forward, and the efforts that messages
     report, where efforts are computed from commands; else it has 0 joints.
+    ``acceleration_noise (N, joints)``: values with the variance of the accelerations' noise; no columns: not known.
     """
 
     stamps: IntArray
@@ -183,10 +184,12 @@ class Samples:
     entries: Entries = NO_ENTRIES
     standing: BoolArray = None  # type: ignore[assignment]  # likewise
     commands: FloatArray = None  # type: ignore[assignment]  # likewise
+    acceleration_noise: FloatArray = None  # type: ignore[assignment]  # likewise
 
     def __post_init__(self) -> None:
         nothing = np.zeros((len(self.position), 0))
         defaults = {"effects": nothing, "standing": nothing > 0.0, "commands": np.zeros((len(nothing), 4, 0))}
+        defaults["acceleration_noise"] = nothing
         for name, default in defaults.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, default)
@@ -279,9 +282,8 @@ class Samples:
         own = tuple(column for column in self.entries.columns if isinstance(column, JointColumn))
         entries = Entries(own, self.entries.joints)
         effects = [self.effects[:, self.entries.of(column)[0]][:, order] for column in entries.columns]
-        arrays: dict[str, Any] = {
-            name: self.arrays[name][:, order] for name in ("position", "velocity", "acceleration", "effort")
-        }
+        of_joints = ("position", "velocity", "acceleration", "effort", "acceleration_noise")
+        arrays: dict[str, Any] = {name: self.arrays[name][:, order] for name in of_joints if self.arrays[name].shape[1]}
         return replace(self, **arrays, effects=np.concatenate([self.effects[:, :0], *effects], axis=1), entries=entries)
 
     def segments(self) -> list[Samples]:

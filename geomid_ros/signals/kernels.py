@@ -19,6 +19,7 @@ _KAISER_BETA = 6.0
 _LENGTH_IN_CUTOFF_PERIODS = 4.0
 _FIRST_DIFFERENCE = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 _SECOND_DIFFERENCE = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
+_SIXTH_DIFFERENCE = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])
 LOWEST_RATE_PER_CUTOFF = 2.5
 _UNSURE = 0.05  # of the highest cutoff: accuracy of a period that is inferred from a part of the messages
 
@@ -57,6 +58,12 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     first = np.convolve(value, _FIRST_DIFFERENCE, mode="same") / period
     second = np.convolve(value, _SECOND_DIFFERENCE, mode="same") / period**2
     return np.array([value, first, second])
+
+
+def noise_kernel(kernel: FloatArray) -> FloatArray:
+    """Return a kernel ``(1, 7)`` whose result has the variance that white noise has behind ``kernel (taps,)``, and that
+    motion below the cutoff hardly moves: a sixth difference."""
+    return np.asarray(_SIXTH_DIFFERENCE * np.linalg.norm(kernel) / np.linalg.norm(_SIXTH_DIFFERENCE))[None]
 
 
 def filtered(

@@ -285,6 +285,7 @@ class Sampler:
             effects=effects,
             entries=self._entries,
             commands=commands,
+            acceleration_noise=motion.noise(instants, position.shape[1]),
         )
         return samples if self._mount is None else samples.select(self._with_gravity(instants))
 

@@ -17,7 +17,7 @@ from geomid_ros.model import se3
 from geomid_ros.model.effects import JointEffect, Motion
 from geomid_ros.model.samples import Entries
 from geomid_ros.signals.clocks import steps
-from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
+from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff, noise_kernel
 from geomid_ros.signals.settings import LONGEST_TOPIC_LAG, MEAN_STEPS, SAMPLES_PER_CUTOFF_PERIOD
 from geomid_ros.types import FloatArray, IntArray
 
@@ -31,6 +31,7 @@ class Grid:
     def __init__(self, period: int, cutoff: float) -> None:
         self.period = period
         self.kernels = derivative_kernels(cutoff, period * 1e-9)
+        self.noise_kernel = noise_kernel(self.kernels[2])
         self.half = self.kernels.shape[1] // 2
         self.sharp_kernels = derivative_kernels(min(_SHARPER * cutoff, highest_cutoff(period * 1e-9)), period * 1e-9)
         self.lag = self.half + self.sharp_kernels.shape[1] // 2
@@ -154,6 +155,12 @@ class VectorSegment:
         self._interpolate()
         value, first, second = self._on_grid.correlated(instants, self._grid.kernels)
         return value, first, second
+
+    def noise(self, instants: range, columns: int) -> FloatArray:
+        """Return values ``(N, columns)`` at ``instants`` (all ready) with the variance that white noise of the leading
+        values has in their second derivative."""
+        (noise,) = self._on_grid.correlated(instants, self._grid.noise_kernel, columns)
+        return np.asarray(noise)
 
     def drop_before(self, instant: int) -> None:
         """Discard data that only earlier grid points need."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,6 +35,26 @@ def test_a_robot_that_is_guided_by_hand_is_told() -> None:
     noise = 0.05 * np.random.default_rng(3).normal(size=held.shape)
     (finding,) = findings(seven.model, replace(seven.samples, effort=held + noise))
     assert (finding.cause.kind, finding.rivals) == ("guided", ())
+
+
+@pytest.mark.parametrize("robot", ROBOTS[:2], indirect=True)
+def test_noise_of_accelerations_is_told_with_what_a_fit_loses_by_it(robot: Case) -> None:
+    """A fit of inertial efforts to those of noisy accelerations is too small by that; with half the cutoff nothing is
+    lost that could be seen."""
+    own, joints = robot.samples, robot.model.robot.joint_names
+    noises = np.random.default_rng(5).normal(size=(2, *own.acceleration.shape)) * np.std(own.acceleration)
+    weightless, still = robot.model.robot.with_gravity(np.zeros(3)), np.zeros_like(own.velocity)
+    noisy = own.acceleration + noises[0]
+    true, from_noisy = (weightless.joint_efforts(own.position, still, values) for values in (own.acceleration, noisy))
+    cause = named(robot.model, replace(own, acceleration=noisy, acceleration_noise=noises[1]))
+    assert cause.kind == "noise"
+    lost = 1.0 - np.sum(true * from_noisy, axis=0) / np.sum(from_noisy**2, axis=0)
+    told = [lost[joints.index(place)] for place in cause.places]
+    (said,) = re.findall(r"(\d+)%", cause.sentence)
+    assert float(said) == pytest.approx(100.0 * max(told), rel=0.35)  # from some hundred instants
+    half = 0.5**2.5  # noise of second derivatives behind a low-pass
+    softer = replace(own, acceleration=own.acceleration + half * noises[0], acceleration_noise=half * noises[1])
+    assert "noise" not in [finding.cause.kind for finding in findings(robot.model, softer)]
 
 
 @pytest.mark.parametrize(("robot", "size"), [(ROBOTS[0], 0.0), (ROBOTS[1], 9810.0)], indirect=["robot"])

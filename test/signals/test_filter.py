@@ -34,6 +34,7 @@ def filtered(stamps: IntArray, values: FloatArray, rate: float) -> dict[str, Flo
         "value": samples.position,
         "first": samples.velocity,
         "second": samples.acceleration,
+        "noise": samples.acceleration_noise,
     }
 
 
@@ -84,6 +85,18 @@ def test_polynomials_are_exact(stamps: IntArray) -> None:
     np.testing.assert_allclose(smooth[:2], cubic[:2], rtol=0, atol=1e-9)
     np.testing.assert_allclose(out["first"], np.polyval(np.polyder(smooth), time), rtol=0, atol=1e-9)
     np.testing.assert_allclose(out["second"], np.polyval(np.polyder(cubic, 2), time), rtol=0, atol=1e-7)
+
+
+@RATES
+def test_the_noise_of_accelerations_is_told_from_motion(rate: float) -> None:
+    """What white noise of positions adds to them is known up to its scatter, beside motions of up to 3 Hz."""
+    stamps = regular(1.0 / rate, 120.0)
+    motion = np.sin(2.0 * np.pi * np.outer(seconds(stamps), [0.3, 1.0, 3.0]))
+    noise = np.random.default_rng(1).normal(scale=0.002, size=motion.shape)
+    clean, noisy = (filtered(stamps, positions, rate) for positions in (motion, motion + noise))
+    added = np.mean((noisy["second"] - clean["second"]) ** 2, axis=0)
+    np.testing.assert_allclose(np.mean(noisy["noise"] ** 2, axis=0), added, rtol=0.2)
+    assert np.all(np.mean(clean["noise"] ** 2, axis=0) < 0.02 * added)
 
 
 def test_the_lag_is_half_a_kernel() -> None:
