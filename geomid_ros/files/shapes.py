@@ -16,7 +16,7 @@ from trimesh.units import unit_conversion
 
 from geomid_ros.errors import InputError, refusing
 from geomid_ros.files.disk import read_bytes
-from geomid_ros.files.mesh_finder import MeshFinder
+from geomid_ros.files.models.urdf import MeshFinder
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import shapes
 from geomid_ros.model.shape_prior import Solid

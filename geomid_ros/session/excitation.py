@@ -98,7 +98,7 @@ def link_shapes(urdf: str, path: Path, packages: Mapping[str, Path]) -> dict[str
     Args:
         urdf: text of the URDF.
         path: its file, from which meshes are searched.
-        packages: folders by package name, see :class:`~geomid_ros.files.mesh_finder.MeshFinder`.
+        packages: folders by package name, see :class:`~geomid_ros.files.models.urdf.MeshFinder`.
 
     Raises:
         InputError: a mesh cannot be read, or no link has a shape.

@@ -12,7 +12,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.mesh_finder import MeshFinder
+from geomid_ros.files.models.urdf import MeshFinder
 from geomid_ros.files.shapes import ShapeReader
 from geomid_ros.model import shapes
 from geomid_ros.model.shape_prior import Solid

@@ -20,8 +20,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.mesh_finder import MeshFinder
 from geomid_ros.files.models.effects_file import joint_attributes, tilted_gravity
+from geomid_ros.files.models.urdf import MeshFinder
 from geomid_ros.files.models.xml_edits import Edit, edited, insertion, spans_of, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
